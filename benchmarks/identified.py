@@ -84,7 +84,7 @@ def identified(sine: Experiment, triangle: Experiment) -> tuple[Values, friction
             rational.check_worth(best)
         except ParameterError:
             best = second
-        model, delay, _ = first_gains.with_dead_time(measured, best, "likelihood")
+        model, delay, _ = first_gains.with_dead_time(measured, best)
     suggested = theta.suggest(measured, second, best, U_MAX)
     known = first_gains.KnownValve(model, delay, suggested, lvdt.observe(sine.position), PERIOD, U_MAX, found)
     return first_gains.dcarc_values(known), found, delay

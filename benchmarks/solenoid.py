@@ -284,7 +284,7 @@ class _Steps:
     def tested(self, name: str, record: Record) -> None:
         pass
 
-    def found(self, valve: Values) -> None:
+    def fitted(self, valve: Values) -> None:
         pass
 
     def refused(self, changes: Values, reason: str) -> None:
@@ -304,11 +304,11 @@ def commissioned(
         LIMITS, law, CHATTER, options.budget, VALVES_SIMULATED, VALVES_UNSEEN, seed=1, threads=1, firm=False,
         alone=True,
     )  # fmt: skip
-    before, steps, said = bench.values(), _Steps(), list[str]()
+    before, steps = bench.values(), _Steps()
     check(plan, before)
     began = time.process_time()
     try:
-        with sequence.reversible(bench, before, said.append):
+        with sequence.reversible(bench, before, sequence.Reversal()):
             result = sequence.run(bench, plan, before, steps, tests)
     except (ParameterError, Fault) as error:
         cpu = time.process_time() - began

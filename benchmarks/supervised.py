@@ -16,13 +16,13 @@ from valve_control.control.supervision.trajectory import Motion
 from valve_control.design.commissioning.bench import (
     Course,
     Diagnosis,
+    Elapsed,
     Fault,
+    Instant,
     Pause,
     Point,
     Record,
     SafetyLimits,
-    Seen,
-    Told,
 )
 from valve_control.design.commissioning.watch import Watch
 from valve_control.parameter import ParameterError, Value, Values, defaults, updated
@@ -78,7 +78,7 @@ class SupervisedValve:
         self.applied.append(dict(changes))
         self.supervisor.apply(values, params)
 
-    def drive(self, course: Course, limits: SafetyLimits, told: Told) -> Record:
+    def drive(self, course: Course, limits: SafetyLimits, elapsed: Elapsed) -> Record:
         """Give the commands of ``course`` until it ends. Raises Fault as the bench over ROS does."""
         readings: list[float] = []
         voltages: list[float] = []
@@ -108,9 +108,9 @@ class SupervisedValve:
             readings.append(reading)
             voltages.append(voltage)
             commands.append(limited)
-            told(len(readings) * period)
+            elapsed(len(readings) * period)
             try:
-                command = course.send(Seen(len(readings) * period, reading))
+                command = course.send(Instant(len(readings) * period, reading))
             except StopIteration:
                 return record()
 

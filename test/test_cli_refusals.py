@@ -115,6 +115,7 @@ def test_maps_and_expectations_that_mean_nothing(run, bags, options, words):
     ("arguments", "words"),
     [
         (["simulate", "--command", "c.csv", "--scenario", "sine"], ["contradict"]),
+        (["identify", "--command", "c.csv", "--scenario", "sweep"], ["--command", "no --scenario"]),
         (["simulate", "--set", "valve=custom", "--set", "numerator=[-1502.0]"], ["must be positive"]),
         (["compensator", "--numerator", "-1500", "--denominator", "1", "58", "1650"], ["be positive"]),
         (["identify", "--set", "valve=second_order", "--order", "4", *QUICK], ["not support", "--order 2"]),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""The bench without ROS, with faults on demand, and steps that keep what is said."""
+"""The bench without ROS, with faults on demand, and steps that record."""
 
 from benchmarks import supervised
 from valve_control.design.commissioning import courses, plant, small_signal, statics
@@ -9,10 +9,10 @@ from valve_control.design.commissioning.plan import limiting
 
 
 class Steps:
-    """Goes on with each step, or as long as ``answers`` say so, and keeps what is said."""
+    """Goes on with each step, or as long as ``answers`` say so, and records questions and reports."""
 
     def __init__(self, answers=None):
-        self.answers, self.asked, self.told, self.valve, self.refusals = answers, [], [], None, []
+        self.answers, self.asked, self.reports, self.valve, self.refusals = answers, [], [], None, []
         self.records = {}
 
     def confirm(self, text):
@@ -20,12 +20,12 @@ class Steps:
         return self.answers is None or (bool(self.answers) and self.answers.pop())
 
     def progress(self, *progress):
-        self.told.append(progress)
+        self.reports.append(progress)
 
     def tested(self, name, record):
         self.records[name] = record
 
-    def found(self, valve):
+    def fitted(self, valve):
         self.valve = valve
 
     def refused(self, changes, reason):
@@ -57,14 +57,14 @@ def driven(bench, limits):
     bench.apply(limiting(bench.values(), limits))
     rest = statics.at_rest(bench.drive(courses.rest(2.0), limits, silent))
     slow = bench.drive(courses.triangle(limits, 1.6, 4), limits, silent)
-    static = statics.slow(slow, rest, limits)
-    planned = small_signal.plan(limits, rest, static, 0.001)
+    static = statics.slow(slow, rest)
+    planned = small_signal.plan(limits, static, 0.001)
     course = courses.stepped_sine(limits, planned.steps, planned.amplitude, planned.offset)
     return rest, slow, static, planned, bench.drive(course, limits, silent)
 
 
-def fitted(bench, limits, told=lambda *done: None):
+def fitted(bench, limits, tell=lambda: None, threads=1):
     """What commissioning fits to the readings of ``bench``."""
     rest, slow, static, planned, sine = driven(bench, limits)
     _, fits, friction = small_signal.linear(sine, planned, static, rest)
-    return plant.fitted([slow, sine], fits, friction, static.offset, rest, told)
+    return plant.fitted([slow, sine], fits, friction, static.offset, rest, tell, threads)

@@ -9,19 +9,19 @@ from hypothesis import strategies as st
 
 from valve_control.control.commands.scenarios import sine_steps
 from valve_control.design.commissioning import courses
-from valve_control.design.commissioning.bench import SafetyLimits, Seen
+from valve_control.design.commissioning.bench import Instant, SafetyLimits
 
 PERIOD = 0.001
 
 
 def driven(course, readings, most=60_000):
     """Commands of a course that sees ``readings``, the last one for ever."""
-    given = [next(course)]
+    commands = [next(course)]
     for k in range(most):
         try:
-            given.append(course.send(Seen((k + 1) * PERIOD, readings[min(k, len(readings) - 1)])))
+            commands.append(course.send(Instant((k + 1) * PERIOD, readings[min(k, len(readings) - 1)])))
         except StopIteration:
-            return np.array(given)
+            return np.array(commands)
     raise AssertionError("the course does not end")
 
 
@@ -42,11 +42,11 @@ def test_a_spool_that_goes_on_after_a_turn_is_turned_earlier_the_next_time():
     """A valve that is 0.15 s late goes on by 0.26 V after the first turn; the next ones stay within REACH."""
     limits, late, gain = SafetyLimits(4.0, 2.0), 150, 1.1
     course = courses.triangle(limits, 1.6, 4)
-    given, readings = [next(course)], []
+    commands, readings = [next(course)], []
     with pytest.raises(StopIteration):
         while True:
-            readings.append(gain * given[max(0, len(given) - 1 - late)])
-            given.append(course.send(Seen(len(given) * PERIOD, readings[-1])))
+            readings.append(gain * commands[max(0, len(commands) - 1 - late)])
+            commands.append(course.send(Instant(len(commands) * PERIOD, readings[-1])))
     first = int(np.argmax(readings))
     assert readings[first] == pytest.approx(
         courses.REACH * limits.travel + gain * 1.6 * late * PERIOD, abs=0.01
@@ -71,7 +71,7 @@ def test_a_sine_is_made_smaller_until_the_spool_stays_within_its_reach():
     command, largest = next(course), []
     for k in range(5000):
         largest.append(abs(2.0 * command))
-        command = course.send(Seen((k + 1) * PERIOD, 2.0 * command))
+        command = course.send(Instant((k + 1) * PERIOD, 2.0 * command))
     assert max(largest[-1000:]) <= courses.REACH * 2.0
     assert max(largest[-1000:]) >= courses.REACH * 2.0 * courses.LOWER - 0.01
 
@@ -79,32 +79,17 @@ def test_a_sine_is_made_smaller_until_the_spool_stays_within_its_reach():
 def test_a_ramp_makes_no_leap_after_a_pause_of_the_process():
     course = courses.triangle(SafetyLimits(4.0, 2.0), 1.6, 2)
     next(course)
-    before = course.send(Seen(0.5, 0.0))
-    assert course.send(Seen(3.0, 0.0)) - before == pytest.approx(1.6 * courses.LATE)
+    before = course.send(Instant(0.5, 0.0))
+    assert course.send(Instant(3.0, 0.0)) - before == pytest.approx(1.6 * courses.LATE)
 
 
 def test_a_motion_is_played_by_the_numbers_of_the_readings():
     wanted = np.array([0.0, 1.0, 2.0, 3.0])
     course = courses.motion(wanted, PERIOD)
     assert next(course) == (0.0, 1.0 / PERIOD, 0.0)
-    assert course.send(Seen(2 * PERIOD, 0.0)).position == 2.0  # a reading was lost
-    assert course.send(Seen(3 * PERIOD, 0.0)).position == 3.0
-    assert course.send(Seen(4 * PERIOD, 0.0)) == (0.0, 0.0, 0.0)
-
-
-def test_how_long_a_triangle_takes_is_known_better_after_each_turn():
-    """Told before its first turn: that of the limit of the voltage; the valve turns it at 0.4 of that."""
-    limits, turned, told = SafetyLimits(4.0, 2.0), [], []
-    course = courses.triangle(limits, 1.6, 4, lambda turn, at: turned.append(at))
-    given = [next(course)]
-    with pytest.raises(StopIteration):
-        while True:
-            told.append(courses.triangle_time(limits, 1.6, 4, turned))
-            given.append(course.send(Seen(len(given) * PERIOD, given[-1])))
-    length = len(given) * PERIOD
-    assert told[0] == pytest.approx(20.0) and length < 9.0
-    first = round(turned[0] / PERIOD) + 2
-    assert told[first:] == pytest.approx([length] * len(told[first:]), abs=0.05 * length)
+    assert course.send(Instant(2 * PERIOD, 0.0)).position == 2.0  # a reading was lost
+    assert course.send(Instant(3 * PERIOD, 0.0)).position == 3.0
+    assert course.send(Instant(4 * PERIOD, 0.0)) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("period", [0.001, 0.01, 0.02])
@@ -112,10 +97,10 @@ def test_the_triangle_has_its_rate_at_any_period(period):
     """With readings every 10 ms it rose at half of it, and took twice as long as was said."""
     limits, time = SafetyLimits(4.0, 2.0), 0.0
     course = courses.triangle(limits, 1.6, 4, period=period)
-    given = [next(course)]
+    commands = [next(course)]
     with pytest.raises(StopIteration):
         while True:
             time += period
-            given.append(course.send(Seen(time, 0.0)))
-    assert np.max(np.abs(np.diff(given))) == pytest.approx(1.6 * period)
-    assert time == pytest.approx(courses.triangle_time(limits, 1.6, 4, []), rel=0.02)
+            commands.append(course.send(Instant(time, 0.0)))
+    assert np.max(np.abs(np.diff(commands))) == pytest.approx(1.6 * period)
+    assert time == pytest.approx(2.0 * 4 * 4.0 / 1.6, rel=0.02)

@@ -87,8 +87,3 @@ def test_a_third_order_without_zeros_goes_to_dcarc_as_it_is():
     assert values["dcarc.actuator_delay"] == pytest.approx(0.0023)
     assert values["dcarc.delay"] == 0.0
     assert np.max(np.abs(loop_poles(values, SLOW, 2.3))) < 1.0
-
-
-def test_a_law_without_a_model_of_its_own_in_the_first_gains_gets_none():
-    """Of the compensator first_gains knows nothing, whether or not zeros can be inverted."""
-    assert not [name for name in known(FAST, "compensator").gains if name.startswith("compensator.")]

@@ -153,12 +153,6 @@ def test_the_dead_time_of_solenoids_is_learnt_as_a_whole(before, behind):
     assert box["lvdt.delay"].low <= before + behind - actuator < box["lvdt.delay"].high
 
 
-def test_what_is_fixed_is_not_searched(moved):
-    found = recorded.learnt(experiment(moved), updated(VALVE, defaults(VALVE), TRUE), ["friction.coulomb"])
-    assert "friction.coulomb" not in {one.name for one in found.learnt}
-    assert found.values["friction.coulomb"] == 0.7
-
-
 def test_a_recording_at_rest_is_one_sentence():
     with pytest.raises(ParameterError, match="has no excitation: the readings move by"):
         recorded.learnt(experiment(operated(np.zeros(3000))), defaults(VALVE), [])
@@ -190,24 +184,6 @@ def test_tune_from_a_bag(run, tmp_path, moved):
     assert files.load("t.yaml")["controller"]["controller"] == "pid"
     status, out, err = run("tune", "--bag", "operation", "--scenario", "sine", "--json", "-")
     assert status == 2 and "takes no --scenario" in err and len(sentences(err)) == 1
-
-
-def test_the_box_of_a_recording_overrides_no_file(run, tmp_path, moved):
-    """What the recording tells is in the box, and the bias of a response is no matter of it."""
-    write(tmp_path / "operation", moved.messages)
-    (tmp_path / "valve.yaml").write_text("/**/valve_simulator:\n  ros__parameters:\n    lvdt.noise: 0.004\n")
-    search = ["--budget", "1", "--valves", "1", "--unseen", "1", "--controller", "pid"]
-    _, _, err = run("tune", "--bag", "operation", "--params-file", "valve.yaml", *search, "--json", "-")
-    assert "tune varies" not in err and "biased" not in err and "times are publish_time" in err
-
-
-def test_tune_from_a_bag_at_rest(run, tmp_path):
-    made = Run(controller={"controller": "oarc"})
-    for _ in range(3000):
-        made.sample(0.0)
-    write(tmp_path / "still", made.messages)
-    status, _, err = run("tune", "--bag", "still", "--json", "-")
-    assert status == 2 and "has no excitation" in err and len(sentences(err)) == 1
 
 
 def test_the_part_that_moves_is_found_beside_chatter_and_offset():

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from supervised import Steps, SupervisedValve
 
-from valve_control.design.commissioning import backup, gains, plant, sequence
-from valve_control.design.commissioning.bench import Fault, SafetyLimits
+from benchmarks import supervised as bench_without_ros
+from valve_control.design.commissioning import folder, gains, plant, sequence
+from valve_control.design.commissioning.bench import Diagnosis, Fault, SafetyLimits
+from valve_control.design.commissioning.folder import Folder
 from valve_control.design.commissioning.plan import Plan
 from valve_control.design.tuning.trial import TuningMotion
 from valve_control.parameter import ParameterError
@@ -60,7 +62,7 @@ def test_tests_with_pauses_tell_the_same_valve(monkeypatch):
     assert found.static.friction == pytest.approx(usual.static.friction, rel=0.02)
     assert found.static.dead_zone == pytest.approx(usual.static.dead_zone, rel=0.1)
     assert len(found.response.frequency) == len(usual.response.frequency)
-    assert all(done <= total for _, done, total in steps.told)
+    assert all(done <= total for _, done, total in steps.reports)
 
 
 @pytest.mark.campaign
@@ -77,10 +79,29 @@ def test_a_stretch_that_pauses_spoil_four_times_ends_it():
     before = valve.values()
     with (
         pytest.raises(Fault, match="stood still .* 4 times in one stretch of the step"),
-        sequence.reversible(valve, before, lambda said: None),
+        sequence.reversible(valve, before, sequence.Reversal()),
     ):
         sequence.run(valve, PLAN, before, Steps())
     assert valve.values() == before and valve.active
+
+
+def test_no_sentence_steers_a_commissioning(monkeypatch):
+    """Pauses, stretches, the end and what becomes of the parameters, whatever the controller's words."""
+    words = "oscillates at 9 Hz; saturated for 9 s; stood still; all its parameters are as before"
+    ends = []
+    for text in ("", words):
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                bench_without_ros, "Diagnosis", lambda *about, text=text: Diagnosis(*about[:3], text)
+            )
+            valve, steps, reversal = Pausing([2500, 9000]), Steps(), sequence.Reversal()
+            valve.fault_at = 12_000
+            before = valve.values()
+            with pytest.raises(Fault), sequence.reversible(valve, before, reversal):
+                sequence.run(valve, PLAN, before, steps)
+        assert valve.paused == 2 and valve.values() == before
+        ends.append((valve.voltages, valve.applied, steps.asked, steps.reports, reversal.restored))
+    assert ends[0] == ends[1]
 
 
 def test_a_pause_during_a_search_is_counted_and_nothing_else():
@@ -93,7 +114,7 @@ def test_a_pause_during_a_search_is_counted_and_nothing_else():
         raise sequence.Pause("the controller's process stood still")
 
     valve.watch = watch
-    run._modelled(50.0)
+    run._modelled()
     assert run._pauses == {sequence.SEARCH: 1} and valve.active
 
 
@@ -131,8 +152,10 @@ def test_a_failed_commissioning_goes_on_after_its_whole_tests(tmp_path):
     with pytest.raises(Fault):
         sequence.run(valve, PLAN, valve.values(), steps)
     assert set(steps.records) == {sequence.REST, sequence.SLOW, sequence.SINE}
-    backup.write_tests(tmp_path, "/controller", LIMITS, steps.records)
-    records = backup.read_tests(tmp_path, "/controller", LIMITS, 0.001)
+    kept = Folder(tmp_path, "/controller")
+    for name, record in steps.records.items():
+        kept.keep_test(name, record, LIMITS)
+    records = kept.tests(LIMITS, 0.001)
     for name, record in steps.records.items():
         assert records[name].begins == record.begins
         assert np.array_equal(records[name].reading, record.reading, equal_nan=True)
@@ -142,7 +165,7 @@ def test_a_failed_commissioning_goes_on_after_its_whole_tests(tmp_path):
     with pytest.raises(Fault):
         sequence.run(valve, PLAN, valve.values(), again, records=records)
     assert len(valve.readings) - samples < 1.2 * len(steps.records[sequence.SINE].reading)
-    assert {name for name, *_ in again.told} == {sequence.SINE}
+    assert {name for name, *_ in again.reports} == {sequence.SINE}
     assert again.records[sequence.SLOW] is records[sequence.SLOW]
     for node, limits, period in (
         ("/other", LIMITS, 0.001),
@@ -150,9 +173,9 @@ def test_a_failed_commissioning_goes_on_after_its_whole_tests(tmp_path):
         ("/controller", LIMITS, 0.002),
     ):
         with pytest.raises(ParameterError, match=r"--resume needs the same node, --max-voltage"):
-            backup.read_tests(tmp_path, node, limits, period)
-    (tmp_path / backup.TESTS).write_bytes(b"PK nothing")
+            Folder(tmp_path, node).tests(limits, period)
+    (tmp_path / folder.TESTS).write_bytes(b"PK nothing")
     with pytest.raises(ParameterError, match="is damaged"):
-        backup.read_tests(tmp_path, "/controller", LIMITS, 0.001)
+        kept.tests(LIMITS, 0.001)
     with pytest.raises(ParameterError, match="no whole test"):
-        backup.read_tests(tmp_path / "nowhere", "/controller", LIMITS, 0.001)
+        Folder(tmp_path / "nowhere", "/controller").tests(LIMITS, 0.001)

@@ -11,21 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control import interrupts, outputs, priority
 from valve_control.cli.common import check_processes, check_search, event, say, write_json, wrote
-from valve_control.parameter import ParameterError, defaults, number, word
+from valve_control.control.laws.registry import LAWS
+from valve_control.parameter import ParameterError, number, word
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from valve_control.design.commissioning.backup import Backup
     from valve_control.design.commissioning.bench import Record
+    from valve_control.design.commissioning.folder import Backup, Folder
     from valve_control.design.commissioning.plan import Plan
-    from valve_control.design.commissioning.sequence import Result
+    from valve_control.design.commissioning.sequence import Result, Reversal
     from valve_control.nodes.commissioning_client import Controller
     from valve_control.parameter import Values
 
 CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
-VALVE, REFUSED = "valve.yaml", "refused_{}.yaml"
-TUNED, RESULT, REPORT = "tuned.yaml", "commission.json", "report.html"
 FAILED = 1  # exit status if the parameters are those from before
 
 
@@ -50,7 +47,7 @@ def add_commands(commands: Any) -> None:
         "--travel", type=float, default=2.0, metavar="V", help="largest reading in both directions (2 V)"
     )
     group = commission.add_argument_group("tuning")
-    group.add_argument("--controller", metavar="LAW", help="law to tune (the present law)")
+    group.add_argument("--controller", choices=LAWS, metavar="LAW", help="law to tune (the present law)")
     group.add_argument(
         "--max-chatter",
         type=float,
@@ -109,7 +106,7 @@ def _commission(arguments: argparse.Namespace) -> int:
     from valve_control.design.commissioning.bench import Fault
 
     if arguments.undo:
-        _backup(arguments)  # whether there is one is known without the node
+        _backup(_folder(arguments))  # whether there is one is known without the node
     try:
         from valve_control.nodes.commissioning_client import connected
     except ImportError as error:
@@ -117,9 +114,7 @@ def _commission(arguments: argparse.Namespace) -> int:
     interrupts.watch(signal.SIGTERM, signal.SIGHUP)
     with connected(arguments.node) as controller:
         try:
-            if arguments.undo:
-                return _undo(arguments, controller)
-            return _run(arguments, controller)
+            return (_undo if arguments.undo else _run)(arguments, controller)
         except Fault as fault:
             print(f"valve-control: {fault}", file=sys.stderr)
             return FAILED
@@ -143,41 +138,45 @@ def _check(arguments: argparse.Namespace) -> None:
         arguments.folder = arguments.resume
     if not all(part.isidentifier() for part in arguments.node.strip("/").split("/")):
         raise ParameterError(f"--node {arguments.node} is no full name of a node, such as /boom/controller")
-    if arguments.controller is not None:
-        from valve_control.control.laws.registry import LAWS
-
-        if arguments.controller not in LAWS:
-            raise ParameterError(
-                f"--controller {arguments.controller}: there is no such law; there are {', '.join(LAWS)}"
-            )
     if not arguments.undo and not arguments.yes and not sys.stdin.isatty():
         raise ParameterError("nobody can be asked before each step; --yes commissions without questions")
     if arguments.json not in (None, "-"):
         outputs.check([arguments.json])
 
 
-def _backup(arguments: argparse.Namespace) -> "Backup":
-    """What --folder has of the parameters from before. Raises ParameterError if it has nothing."""
-    from valve_control.design.commissioning import backup
+def _folder(arguments: argparse.Namespace) -> "Folder":
+    from tqdm import tqdm
 
-    kept = backup.read(Path(arguments.folder))
-    if kept is None:
-        raise ParameterError(f"there is no commissioning in {arguments.folder}; --folder names another one")
-    return kept
+    from valve_control.design.commissioning.folder import Folder
+
+    def tell(path: Path) -> None:
+        with tqdm.external_write_mode():  # a bar may be shown
+            wrote(arguments, path)
+
+    return Folder(Path(arguments.folder), "/" + arguments.node.strip("/"), tell)
+
+
+def _backup(folder: "Folder") -> "Backup":
+    """Parameters from before that ``folder`` has. Raises ParameterError if it has none of its node."""
+    backup = folder.backup()
+    if backup is None:
+        raise ParameterError(f"there is no commissioning in {folder.path}; --folder names another one")
+    if backup.node != folder.node:
+        raise ParameterError(
+            f"{folder.path} has the parameters of {backup.node}, not of {folder.node}; give --node or "
+            "--folder"
+        )
+    return backup
 
 
 def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
-    from valve_control.design.commissioning import backup, sequence
+    from valve_control.design.commissioning import sequence
+    from valve_control.design.commissioning.folder import UNDONE
 
-    kept = _backup(arguments)
-    if kept.node != controller.name:
-        raise ParameterError(
-            f"{arguments.folder} has the parameters of {kept.node}, not of {controller.name}; give --node or "
-            "--folder"
-        )
-    count = sequence.restore(controller, kept.values)
-    backup.mark(Path(arguments.folder), kept.node, backup.UNDONE)
-    say(arguments, f"{count} parameters of {kept.node} set back; all are as before the commissioning")
+    folder = _folder(arguments)
+    count = sequence.restore(controller, _backup(folder).values)
+    folder.mark(UNDONE)
+    say(arguments, f"{count} parameters of {folder.node} set back; all are as before the commissioning")
     if arguments.activate:
         controller.on()
     if not controller.active:
@@ -206,82 +205,60 @@ def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
 
 
 def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
-    from valve_control.design.commissioning import backup, sequence
-    from valve_control.design.commissioning.bench import Fault
+    from valve_control.design.commissioning import sequence
     from valve_control.design.commissioning.plan import check
 
-    folder = Path(arguments.folder)
     before = controller.values()
-    kept = backup.read(folder)
-    if kept is not None and kept.node != controller.name and kept.state in (backup.RUNNING, backup.DONE):
-        raise ParameterError(
-            f"{folder} has the parameters from before the commissioning of {kept.node}; --folder gives "
-            f"{controller.name} one of its own"
-        )
-    if kept is not None and kept.state == backup.RUNNING and backup.differences(before, kept.values):
-        raise ParameterError(
-            f"a commissioning of {kept.node} was not brought to its end, and {folder} has the parameters "
-            "from before it; --undo brings them back"
-        )
+    folder = _folder(arguments)
+    folder.check(before)
     plan = _plan(arguments, word(before, "controller"))
     check(plan, before)
     records = {}
     if arguments.resume is not None:
-        records = backup.read_tests(folder, controller.name, plan.limits, number(before, "sample_period"))
-        say(arguments, f"{folder} has whole tests: {', '.join(sorted(records))}")
+        records = folder.tests(plan.limits, number(before, "sample_period"))
+        say(arguments, f"{folder.path} has whole tests: {', '.join(sorted(records))}")
     controller.meet_valve()
-    refused = sorted(path.name for path in folder.glob(REFUSED.format("*")))
-    aside = backup.set_aside(folder, [REPORT, RESULT, TUNED, VALVE, backup.TESTS, *refused])
+    aside = folder.begin(before)
     if aside is not None:
         say(arguments, f"moved the files of an earlier commissioning to {aside}")
-    backup.write(folder, controller.name, before)
-    wrote(arguments, folder / backup.PARAMETERS, ": the parameters from before")
-    steps = _Steps(
-        arguments, lambda records: backup.write_tests(folder, controller.name, plan.limits, records)
-    )
-    told: list[str] = []
-    written: list[Path] = []
+    steps, reversal = _Steps(arguments, folder, plan), sequence.Reversal()
     try:
-        with sequence.reversible(controller, before, told.append):
+        with sequence.reversible(controller, before, reversal):
             result = sequence.run(controller, plan, before, steps, records=records)
             steps.close()
-            for name, text in _texts(arguments, result).items():
-                written.append(folder / name)
-                outputs.write(str(folder / name), text)
-            backup.mark(folder, controller.name, backup.DONE)
+            folder.finish(result, "valve-control " + " ".join(arguments.line))
     except BaseException as error:
         steps.close()
-        backup_safe = sequence.AS_BEFORE in told
-        if isinstance(error, Fault) and not backup_safe:
-            told.append(f"its parameters from before are in {folder}; --undo brings them back")
-        for text in told:
-            print(text, file=sys.stderr)
-        if backup_safe:
-            try:
-                for path in written:
-                    path.unlink(missing_ok=True)
-                backup.mark(folder, controller.name, backup.ABORTED)
-            except OSError as failed:
-                print(f"{folder} could not be put in order: {failed.strerror or failed}", file=sys.stderr)
+        _report_end(folder, reversal, error)
         if isinstance(error, (ParameterError, sequence.Refused)):
             print(f"valve-control: {error}", file=sys.stderr)
             return FAILED
         raise
-    _tell(arguments, result, written)
+    _report(arguments, result, folder)
     return 0
 
 
-class _Steps:
-    """Asks before each step, shows its progress, and writes what is found on the way."""
+def _report_end(folder: "Folder", reversal: "Reversal", error: BaseException) -> None:
+    """Say what became of the parameters at an early end, and put ``folder`` in order."""
+    from valve_control.design.commissioning.bench import Fault
 
-    def __init__(
-        self, arguments: argparse.Namespace, write: "Callable[[Mapping[str, Record]], None]"
-    ) -> None:
-        self._arguments = arguments
-        self._write = write  # whole tests
-        self._tests: dict[str, Any] = {}
+    lines = list(reversal.report)
+    if not reversal.restored and isinstance(error, Fault):
+        lines.append(f"its parameters from before are in {folder.path}; --undo brings them back")
+    print(*lines, sep="\n", file=sys.stderr)
+    if reversal.restored:
+        try:
+            folder.abandon()
+        except OSError as failed:
+            print(f"{folder.path} could not be put in order: {failed.strerror or failed}", file=sys.stderr)
+
+
+class _Steps:
+    """Asks before each step, shows its progress, and writes results on the way."""
+
+    def __init__(self, arguments: argparse.Namespace, folder: "Folder", plan: "Plan") -> None:
+        self._arguments, self._folder, self._limits = arguments, folder, plan.limits
         self._bar: Any = None
-        self._refusals = 0
 
     def confirm(self, text: str) -> bool:
         """Whether to go on; the question says what comes next."""
@@ -313,28 +290,15 @@ class _Steps:
 
     def tested(self, name: str, record: "Record") -> None:
         """Keep a whole test, after which another commissioning can go on."""
-        self._tests[name] = record
-        self._write(self._tests)
+        self._folder.keep_test(name, record, self._limits)
 
-    def found(self, valve: "Values") -> None:
-        """Write the fitted valve, which is worth having whatever becomes of the gains."""
-        self._keep(VALVE, "/**/valve_simulator", valve, "The valve as commissioning found it.")
+    def fitted(self, valve: "Values") -> None:
+        """Keep the fitted valve."""
+        self._folder.keep_valve(valve)
 
     def refused(self, changes: "Values", reason: str) -> None:
-        """Write gains that are not accepted."""
-        about = f"Gains that were not accepted: {reason}."
-        self._refusals += 1
-        self._keep(REFUSED.format(self._refusals), self._arguments.node, changes, about)
-
-    def _keep(self, name: str, node: str, values: "Values", about: str) -> None:
-        from tqdm import tqdm
-
-        from valve_control.control.parameters import files
-
-        path = Path(self._arguments.folder) / name
-        outputs.write(str(path), files.as_yaml({node: values}, [about]))
-        with tqdm.external_write_mode():  # a bar may be shown
-            wrote(self._arguments, path)
+        """Keep gains that are not accepted."""
+        self._folder.keep_refused(changes, reason)
 
     def close(self) -> None:
         """End the bar that is shown."""
@@ -343,54 +307,23 @@ class _Steps:
             self._bar = None
 
 
-def _texts(arguments: argparse.Namespace, result: "Result") -> dict[str, str]:
-    """What is written of a commissioning that succeeded, by file."""
-    from valve_control.control.parameters import files
-    from valve_control.design.commissioning import commissioning_report, sequence
-
-    made = result.verification.measured
-    about = [
-        "valve-control " + " ".join(arguments.line),
-        f"e_rms {made.e_rms:.4g} V and c_u {made.c_u:.3f} in the verification run",
-    ]
-    return {
-        REPORT: commissioning_report.page(result),
-        RESULT: outputs.as_json(sequence.as_dict(result)),
-        TUNED: files.as_yaml({arguments.node: tuned_values(result.before, result.applied)}, about),
-    }
-
-
-def tuned_values(before: "Values", applied: "Values") -> "Values":
-    """What a controller needs beside its defaults to be that ``before`` with the ``applied`` changes."""
-    from valve_control.control.parameters.table import CONTROLLER
-
-    final, usual = {**before, **applied}, defaults(CONTROLLER)
-    own = (f"{word(final, 'controller')}.", "reshaping.", "linearisation.")
-    return {
-        name: value
-        for name, value in final.items()
-        if name in applied
-        or name == "controller"
-        or (value != usual[name] and (name in ("sample_period", "u_max") or name.startswith(own)))
-    }
-
-
-def _tell(arguments: argparse.Namespace, result: "Result", written: list[Path]) -> None:
+def _report(arguments: argparse.Namespace, result: "Result", folder: "Folder") -> None:
     from valve_control.design.commissioning import sequence
     from valve_control.design.tuning import limits
 
-    made = result.verification
+    verified = result.verification
+    before = (
+        f"; {1e3 * verified.former.e_rms:.2f} mV with the parameters from before" if verified.former else ""
+    )
     say(
         arguments,
-        f"{result.tuned.law}: e_rms {1e3 * made.measured.e_rms:.2f} mV, c_u {made.measured.c_u:.3f} on the "
-        f"running valve ({1e3 * made.expected.e_rms:.2f} mV, {made.expected.c_u:.3f} in simulation"
-        + (f"; {1e3 * made.former.e_rms:.2f} mV with the parameters from before" if made.former else "")
-        + ")",
+        f"{result.tuned.law}: e_rms {1e3 * verified.measured.e_rms:.2f} mV, c_u {verified.measured.c_u:.3f} "
+        f"on the running valve ({1e3 * verified.expected.e_rms:.2f} mV, {verified.expected.c_u:.3f} in "
+        f"simulation{before})",
     )
-    for note in (*result.notes, *result.tuned.notes):
-        say(arguments, note)
-    for line in limits.as_text(result.tuned.limits, f"sets of gains of {result.tuned.law}"):
+    table = limits.as_text(result.tuned.limits, f"sets of gains of {result.tuned.law}")
+    for line in (*result.notes, *result.tuned.notes, *table):
         say(arguments, line)
-    for path in written:
+    for path in folder.results:
         wrote(arguments, path)
     write_json(arguments, sequence.as_dict(result))

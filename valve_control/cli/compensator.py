@@ -165,7 +165,6 @@ def _text(made: "Compensator") -> str:
     from valve_control.design.identification.result import polynomial, roots_text
 
     c = made.transfer_function
-    s = made.sampling
     return "\n".join(
         [
             f"valve: ({polynomial(made.model.numerator)}) / ({polynomial(made.model.denominator)})",
@@ -179,8 +178,6 @@ def _text(made: "Compensator") -> str:
             f"valve alone:            {_corners(made.valve)}",
             f"with the compensator:   {_corners(made.compensated)}",
             f"sampled every {1e3 * made.period:g} ms:     {_corners(made.sampled)}",
-            f"bilinear transform: up to {s.up_to:g} Hz within {100.0 * s.gain_error:.2g} % and "
-            f"{s.phase_error:.2g}° of the continuous compensator",
         ]
     )
 
@@ -208,7 +205,6 @@ def _dict(made: "Compensator") -> dict[str, Any]:
         "valve": corners(made.valve),
         "compensated": corners(made.compensated),
         "sampled": corners(made.sampled),
-        "sampling": made.sampling._asdict(),
         "sections": [list(s) for s in (made.sections.first, made.sections.second, made.sections.third)],
         "warnings": list(made.warnings),
     }

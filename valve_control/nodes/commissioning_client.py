@@ -4,7 +4,7 @@
 
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -23,17 +23,8 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control.control.analysis import timing
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.design.commissioning.bench import (
-    Course,
-    Diagnosis,
-    Fault,
-    Pause,
-    Point,
-    Record,
-    SafetyLimits,
-    Seen,
-    Told,
-)
+from valve_control.design.commissioning import bench
+from valve_control.design.commissioning.bench import Fault, Pause, Point, Record, SafetyLimits
 from valve_control.design.commissioning.watch import Watch
 from valve_control.nodes.adapter import (
     EVERYTHING,
@@ -80,6 +71,7 @@ class Controller:
         self._commands = node.create_publisher(Float64, self._topics["spool_command"], SAMPLES)
         self._points = node.create_publisher(JointTrajectoryPoint, self._topics["spool_trajectory"], SAMPLES)
         self._waits = False  # whether the valve waits for its voltage
+        self._period = 0.0  # s
         self._clients = {
             service: node.create_client(kind, f"{self.name}/{service}")
             for service, kind in (
@@ -90,50 +82,46 @@ class Controller:
             )
         }
         self._setting: list[Any] = []  # answers that are still to come
-        self._period = 0.0
         self._heard = {"reading": time.monotonic(), "voltage": time.monotonic()}
 
     # Life
 
+    def _wait(self, condition: Callable[[], bool], seconds: float) -> bool:
+        """Whether ``condition`` holds within ``seconds``, in which messages and answers come."""
+        end = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            self._executor.spin_once(timeout_sec=LOOK)
+        return True
+
     def meet(self) -> None:
         """Wait until the controller is there with all its services. Raises Fault."""
-        end = time.monotonic() + MEET
-        for client in self._clients.values():
-            while not client.service_is_ready():
-                if time.monotonic() > end:
-                    raise Fault(f"there is no controller {self.name}; is it running, in this ROS domain?")
-                self._executor.spin_once(timeout_sec=0.05)
+        clients = self._clients.values()
+        if not self._wait(lambda: all(client.service_is_ready() for client in clients), MEET):
+            raise Fault(f"there is no controller {self.name}; is it running, in this ROS domain?")
 
     def meet_valve(self) -> None:
         """Wait for readings, and see that nobody else commands. Raises Fault."""
-        end = time.monotonic() + MEET
-        came: list[Sample] = []
-        commanding = (self._commands, self._points)
-        while not (
-            came
-            and all(publisher.get_subscription_count() for publisher in commanding)
-            and self._count("valve_voltage")
-        ):
-            if time.monotonic() > end:
-                topic = self._topics["spool_position" if not came else "spool_command"]
-                raise Fault(
-                    f"no reading has come on {topic} within {MEET:g} s"
-                    if not came
-                    else f"{self.name} does not read {topic}"
-                )
-            self._executor.spin_once(timeout_sec=0.05)
-            came += self._taken(self._readings)
-        # What was killed stays in the graph for a while.
-        for topic in self._topics:
-            while self._count(topic) > 1:
-                if time.monotonic() > end + MEET:
-                    raise Fault(f"somebody else publishes on {self._topics[topic]}; end that first")
-                self._executor.spin_once(timeout_sec=0.05)
-        senders = self._node.get_publishers_info_by_topic(self._topics["spool_position"])
+        position, command = self._topics["spool_position"], self._topics["spool_command"]
+        if not self._wait(lambda: bool(self._taken(self._readings)), MEET):
+            raise Fault(f"no reading has come on {position} within {MEET:g} s")
+
+        def connected() -> bool:
+            commanding = (self._commands, self._points)
+            heard = all(publisher.get_subscription_count() for publisher in commanding)
+            return heard and self._publishers("valve_voltage") > 0
+
+        if not self._wait(connected, MEET):
+            raise Fault(f"{self.name} does not read {command}")
+        for part, topic in self._topics.items():  # what was killed stays in the graph for a while
+            if not self._wait(lambda part=part: self._publishers(part) <= 1, MEET):  # type: ignore[misc]
+                raise Fault(f"somebody else publishes on {topic}; end that first")
+        senders = self._node.get_publishers_info_by_topic(position)
         self._waits = any(info.node_name == SIMULATOR for info in senders)
 
-    def _count(self, topic: str) -> int:
-        return int(self._node.count_publishers(self._topics[topic]))
+    def _publishers(self, part: str) -> int:
+        return int(self._node.count_publishers(self._topics[part]))
 
     # Services
 
@@ -141,15 +129,13 @@ class Controller:
         """All parameters. Raises Fault."""
         self._settle()
         names = [parameter.name for parameter in CONTROLLER]
-        got = self._call("get_parameters", GetParameters.Request(names=names)).values
+        messages = self._call("get_parameters", GetParameters.Request(names=names)).values
         values: Values = {}
-        for parameter, message in zip(CONTROLLER, got, strict=True):
+        for name, message in zip(names, messages, strict=True):
             value = parameter_value_to_python(message)
             if value is None:
-                raise Fault(
-                    f"{self.name} has no parameter {parameter.name}: it is no controller of this version"
-                )
-            values[parameter.name] = value if isinstance(value, (bool, int, float, str)) else list(value)
+                raise Fault(f"{self.name} has no parameter {name}: it is no controller of this version")
+            values[name] = value if isinstance(value, (bool, int, float, str)) else list(value)
         self._period = float(str(values["sample_period"]))
         return values
 
@@ -184,24 +170,27 @@ class Controller:
         """Wait until the controller, which begins without a reading, says that it controls. Raises Fault."""
         for _ in self._diagnostics.take():
             pass
-        end, text = time.monotonic() + ANSWER, "nothing"
-        while time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=LOOK)
-            for said in self._said():
-                if said.active and not said.safe:
-                    return
-                text = said.text
-        raise Fault(f"the controller says: {text}")
+        last = "nothing"
 
-    def _said(self) -> Iterator[Diagnosis]:
-        """What the controller has said of itself."""
+        def controls() -> bool:
+            nonlocal last
+            for diagnosis in self._new_diagnoses():
+                last = diagnosis.text
+                if diagnosis.active and not diagnosis.safe:
+                    return True
+            return False
+
+        if not self._wait(controls, ANSWER):
+            raise Fault(f"the controller says: {last}")
+
+    def _new_diagnoses(self) -> Iterator[bench.Diagnosis]:
         for message, _ in self._diagnostics.take():
             for status in message.status:
                 if status.name == self.name.lstrip("/"):
                     figures = {entry.key: entry.value for entry in status.values}
                     conditions = frozenset(figures.get("conditions", "").split(", "))
                     safe = status.level == DiagnosticStatus.ERROR
-                    yield Diagnosis(safe, figures.get("active") == "True", conditions, status.message)
+                    yield bench.Diagnosis(safe, figures.get("active") == "True", conditions, status.message)
 
     def off(self) -> None:
         """Deactivate the controller, which gives 0 V. Raises Fault."""
@@ -222,27 +211,18 @@ class Controller:
 
     def _call(self, service: str, request: Any) -> Any:
         """Answer of a service, which is asked again if it does not come. Raises Fault."""
-        client = self._clients[service]
-        end = time.monotonic() + ANSWER
-        futures = []
-        while True:
-            futures.append(client.call_async(request))
+        end, futures = time.monotonic() + ANSWER, list[Any]()
+        while time.monotonic() < end:
+            futures.append(self._clients[service].call_async(request))
             if service == "set_parameters_atomically":
                 self._setting.append(futures[-1])
-            again = min(end, time.monotonic() + AGAIN)
-            while time.monotonic() < again:
-                self._executor.spin_once(timeout_sec=LOOK)
-                for future in futures:
-                    if future.done():
-                        return future.result()
-            if time.monotonic() >= end:
-                raise Fault(f"{self.name} does not answer {service} within {ANSWER:g} s")
+            if self._wait(lambda: any(future.done() for future in futures), AGAIN):
+                return next(future.result() for future in futures if future.done())
+        raise Fault(f"{self.name} does not answer {service} within {ANSWER:g} s")
 
     def _settle(self) -> None:
         """Wait for parameters that were being set when something else began."""
-        end = time.monotonic() + AGAIN
-        while any(not future.done() for future in self._setting) and time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=LOOK)
+        self._wait(lambda: all(future.done() for future in self._setting), AGAIN)
         self._setting.clear()
 
     # Messages
@@ -251,7 +231,7 @@ class Controller:
         """Look at what has come. Raises Fault."""
         self._look(Watch(limits))
 
-    def drive(self, course: Course, limits: SafetyLimits, told: Told) -> Record:
+    def drive(self, course: bench.Course, limits: SafetyLimits, elapsed: bench.Elapsed) -> Record:
         """Give the commands of ``course``, one for each reading. Raises Fault.
 
         A command is for the next reading. It is sent when the voltage that answers this one has come: the
@@ -294,20 +274,20 @@ class Controller:
             wait_set.add_subscription(self._voltages.handle)
             wait_set.wait(round(LOOK * 1e9))
             try:
-                came, answers = self._look(watch)
+                new, answers = self._look(watch)
             except Pause as pause:
                 raise Pause(str(pause), record() if readings and voltages else None) from pause
             voltages += answers
-            if came:
+            if new:
                 if following is not None:
                     give(following)
-                readings += came
+                readings += new
                 # A middleware that does not number has 0 for all.
-                number = came[-1][0] - readings[0][0] or len(readings) - 1
+                number = new[-1][0] - readings[0][0] or len(readings) - 1
                 due = number + 1
-                told(number * self._period)
+                elapsed(number * self._period)
                 try:
-                    following = course.send(Seen(due * self._period, came[-1][2]))
+                    following = course.send(bench.Instant(due * self._period, new[-1][2]))
                 except StopIteration:
                     if not voltages:
                         raise Fault(f"no voltage has come on {self._topics['valve_voltage']}") from None
@@ -324,10 +304,10 @@ class Controller:
             watch.voltage(value)
         for _, _, value in readings:
             watch.reading(value)
-        for said in self._said():
-            watch.diagnosis(said)
-        for name, came in (("reading", readings), ("voltage", voltages)):
-            if came:
+        for diagnosis in self._new_diagnoses():
+            watch.diagnosis(diagnosis)
+        for name, new in (("reading", readings), ("voltage", voltages)):
+            if new:
                 self._heard[name] = now
             elif now > self._heard[name] + SILENT:
                 raise Fault(f"no {name} has come for {now - self._heard[name]:.1f} s")
@@ -357,9 +337,9 @@ def _paired(
         index = np.arange(len(readings))
     first = readings[0][1]
     sent = np.array([stamp - first for _, stamp, _ in readings]) * 1e-9
-    given = np.array([stamp - first for _, stamp, _ in voltages]) * 1e-9
+    answered = np.array([stamp - first for _, stamp, _ in voltages]) * 1e-9
     volts = np.array([value for _, _, value in voltages])
-    latency = timing.latencies(sent, given)
+    latency = timing.latencies(sent, answered)
     late = np.zeros(len(index), dtype=np.bool_)
     if not waits:
         index, late = timing.placed(sent, index, period)
@@ -372,9 +352,9 @@ def _paired(
     known, at = np.append(-1, known), np.append(at[0] - (known[0] + 1) * period, at)
     edges = np.interp(np.arange(count + 1), known, at)
     if waits:
-        voltage = volts[np.maximum(np.searchsorted(given, edges[1:], side="left") - 1, 0)]
+        voltage = volts[np.maximum(np.searchsorted(answered, edges[1:], side="left") - 1, 0)]
     else:
-        voltage = timing.means(edges, given, volts)
+        voltage = timing.means(edges, answered, volts)
     ordered = np.array([stamp - first for stamp, _ in commands]) * 1e-9
     wanted = np.array([value for _, value in commands])
     last = np.maximum(np.searchsorted(ordered, edges[:-1], side="right") - 1, 0)

@@ -255,7 +255,8 @@ def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> S
     told(study.valves - left)
     for first in sorted(paths.keys() - parts.keys()):
         found = run_chunk(study, first, chunk, threads)
-        points, period, rows = found.points, found.period, np.stack(found.results, axis=1)
+        points, period = found.points, found.period
+        rows: Floats = np.stack(found.results, axis=1)
         parts[first], stream = (points, period, rows), io.BytesIO()
         np.savez(stream, points=points, period=period, rows=rows, study=np.array(digest))
         outputs.write(str(paths[first]), stream.getvalue())

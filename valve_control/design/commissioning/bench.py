@@ -10,10 +10,8 @@ import numpy as np
 from valve_control.arrays import Floats
 from valve_control.parameter import Value, Values
 
-Told = Callable[[float], None]  # s of a course that are over
-Progress = Callable[
-    [float, float], None
-]  # fits, simulations or sets of gains that are over, of about how many
+Elapsed = Callable[[float], None]  # gets the time [s] of a course that is over
+Progress = Callable[[float, float], None]  # sets of gains that are over, of about how many
 
 
 class SafetyLimits(NamedTuple):
@@ -23,7 +21,7 @@ class SafetyLimits(NamedTuple):
     travel: float  # V  of the reading, to either side
 
 
-class Seen(NamedTuple):
+class Instant(NamedTuple):
     """What a course knows when it gives its next command."""
 
     time: float  # s  since its beginning, by the numbers of the readings
@@ -38,12 +36,8 @@ class Point(NamedTuple):
     acceleration: float  # V/s²
 
 
-Course = Generator[float | Point, Seen, None]  # commands [V] or points, one for each reading
-Begun = Callable[[int, float], None]  # a stretch of a course, and the time [s] at which it begins
-
-
-def nothing_begun(stretch: int, time: float) -> None:
-    """Placeholder for a receiver of the stretches of a course."""
+Course = Generator[float | Point, Instant, None]  # commands [V] or points, one for each reading
+Mark = Callable[[int, float], None]  # gets a stretch of a course, and the time [s] at which it begins
 
 
 class Record(NamedTuple):
@@ -125,7 +119,7 @@ class Bench(Protocol):
     def on(self) -> None:
         """Let the controller work, if it does not. Raises Fault if it refuses."""
 
-    def drive(self, course: Course, limits: SafetyLimits, told: Told) -> Record:
+    def drive(self, course: Course, limits: SafetyLimits, elapsed: Elapsed) -> Record:
         """Give the commands of ``course`` until it ends. Raises Fault at a fault or beyond ``limits``.
 
         Raises Pause with the record until then.

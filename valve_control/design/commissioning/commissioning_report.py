@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
-from valve_control.arrays import Complexes, Floats
+from valve_control.arrays import Floats
 from valve_control.control.analysis import page as pages
 from valve_control.control.analysis.figures import Line, Plot
+from valve_control.control.analysis.indices import Indices
 from valve_control.control.linear import margins
 from valve_control.control.parameters.build import as_text
 from valve_control.design.commissioning import plant
@@ -22,6 +23,8 @@ THIN = 5  # every n-th sample of the slow triangle is drawn
 
 def page(found: Result) -> str:
     """The report as one page."""
+    times = [[name, f"{seconds:.1f}"] for name, seconds in found.seconds.items()]
+    changes = [[name, as_text(found.before[name]), as_text(value)] for name, value in found.applied.items()]
     return pages.page(
         "Commissioning",
         {
@@ -31,8 +34,8 @@ def page(found: Result) -> str:
             "Frequency response": _response(found),
             "Margins in the box": _margins(found),
             "Verification run": _verification(found.verification.record),
-            "Parameters that are different from before": _parameters(found),
-            "Time": pages.table(["step", "s"], [[name, f"{s:.1f}"] for name, s in found.seconds.items()]),
+            "Parameters that are different from before": pages.table(["parameter", "before", "now"], changes),
+            "Time": pages.table(["step", "s"], times),
         },
     )
 
@@ -43,22 +46,23 @@ def _times(record: Record) -> Floats:
 
 
 def _verdict(found: Result) -> str:
-    made, limits = found.verification, found.plan.limits
-    before = found.before["controller"]
+    run, limits = found.verification, found.plan.limits
+
+    def reached(indices: Indices) -> str:
+        return f"{1e3 * indices.e_rms:.1f} mV and c_u {indices.c_u:.3f}"
+
     sentences = [
-        f"The gains of {found.tuned.law} are accepted and in force: e_rms {1e3 * made.measured.e_rms:.1f} mV "
-        f"and c_u {made.measured.c_u:.3f} on the running valve; its simulation says "
-        f"{1e3 * made.expected.e_rms:.1f} mV and {made.expected.c_u:.3f}.",
+        f"The gains of {found.tuned.law} are accepted and in force: e_rms {reached(run.measured)} on the "
+        f"running valve; its simulation says {reached(run.expected)}.",
     ]
-    if made.former is not None:
+    if run.former is not None:
         sentences.append(
-            f"With the parameters from before ({before}) the simulation of this valve gives "
-            f"{1e3 * made.former.e_rms:.1f} mV and c_u {made.former.c_u:.3f} on the same commands."
+            f"With the parameters from before ({found.before['controller']}) the simulation of this valve "
+            f"gives {reached(run.former)} on the same commands."
         )
-    if made.before is not None:
+    if run.before is not None:
         sentences.append(
-            f"On the running valve these parameters gave {1e3 * made.before.e_rms:.1f} mV and c_u "
-            f"{made.before.c_u:.3f} in the same motion."
+            f"On the running valve these parameters gave {reached(run.before)} in the same motion."
         )
     sentences.append(
         f"No voltage was beyond ±{limits.voltage:g} V, and in tests and verification no three readings in a "
@@ -69,31 +73,32 @@ def _verdict(found: Result) -> str:
 
 
 def _valve(found: Result) -> str:
-    made, rest = found.plant, found.rest
+    rest, static, valve = found.tests.rest, found.tests.static, found.tests.plant
     rows = [
         ["noise at rest", f"{1e3 * rest.noise:.3g} mV"],
         ["step of the converter", f"{1e3 * rest.resolution:.3g} mV" if rest.resolution else "none seen"],
         ["reading at 0 V", f"{1e3 * rest.position:.3g} mV"],
-        ["static gain (slow triangle)", f"{found.static.gain:.4g} V/V"],
-        ["static gain (model)", f"{made.model.static_gain:.4g} V/V"],
-        ["voltage that holds the spool at 0 V", f"{found.static.offset:.3g} V"],
-        ["friction in motion", f"{made.friction.coulomb:.3g} V"],
-        ["friction at rest, over that", f"{made.friction.static_ratio:.3g}"],
-        ["presliding of its bristles", f"{1e3 * made.presliding:.3g} mV" if made.presliding else "none seen"],
-        ["dead zone after a turn", f"{found.static.dead_zone:.3g} V"],
-        ["dead time", f"{1e3 * made.delay:.3g} ms"],
-        ["poles", result.roots_text(bode.roots(made.model.denominator))],
-        ["zeros", result.roots_text(bode.roots(made.model.numerator))],
-        ["-90° at", result.hertz(bode.model_corners(made.model, made.delay).minus_90)],
-        ["rms residual over what noise and 3 % of the motion allow", f"{made.error:.2g}"],
+        ["static gain (slow triangle)", f"{static.gain:.4g} V/V"],
+        ["static gain (model)", f"{valve.model.static_gain:.4g} V/V"],
+        ["voltage that holds the spool at 0 V", f"{static.offset:.3g} V"],
+        ["friction in motion", f"{valve.friction.coulomb:.3g} V"],
+        ["friction at rest, over that", f"{valve.friction.static_ratio:.3g}"],
+        [
+            "presliding of its bristles",
+            f"{1e3 * valve.presliding:.3g} mV" if valve.presliding else "none seen",
+        ],
+        ["dead zone after a turn", f"{static.dead_zone:.3g} V"],
+        ["dead time", f"{1e3 * valve.delay:.3g} ms"],
+        ["poles", result.roots_text(bode.roots(valve.model.denominator))],
+        ["zeros", result.roots_text(bode.roots(valve.model.numerator))],
+        ["-90° at", result.hertz(bode.model_corners(valve.model, valve.delay).minus_90)],
+        ["rms residual over what noise and 3 % of the motion allow", f"{valve.error:.2g}"],
     ]
-    if made.magnet is not None:
-        m = made.magnet
+    if valve.magnet is not None:
+        m = valve.magnet
+        spool = f"{result.hertz(m.speed / math.tau)}, {m.damping:.3g}"
         rows += [
-            [
-                "natural frequency and damping of the spool",
-                f"{result.hertz(m.speed / math.tau)}, {m.damping:.3g}",
-            ],
+            ["natural frequency and damping of the spool", spool],
             ["time constant of the coil", f"{1e3 * m.coil:.3g} ms"],
             ["hysteresis of the magnet, full width", f"{m.hysteresis:.3g} V"],
             ["gains of the sides over their mean", f"{m.positive:.3g} and {m.negative:.3g}"],
@@ -103,56 +108,35 @@ def _valve(found: Result) -> str:
 
 
 def _triangle(found: Result) -> str:
-    record = found.slow
-    shown = slice(None, None, THIN)
-    time = _times(record)
-    model = plant.simulated(found.plant, record)
-    return pages.figure(
-        [
-            Plot("voltage [V]", [Line("voltage", time[shown], record.voltage[shown])]),
-            Plot(
-                "position [V]",
-                [
-                    Line("reading", time[shown], record.reading[shown]),
-                    Line("model", time[shown], model[shown], dashed=True),
-                ],
-            ),
-        ],
-        "time [s]",
-    )
+    record, shown = found.tests.slow, slice(None, None, THIN)
+    time, model = _times(record)[shown], plant.simulated(found.tests.plant, record)[shown]
+    positions = [
+        Line("reading", time, record.reading[shown]),
+        Line("model", time, model, dashed=True),
+    ]
+    voltage = Plot("voltage [V]", [Line("voltage", time, record.voltage[shown])])
+    return pages.figure([voltage, Plot("position [V]", positions)], "time [s]")
 
 
 def _response(found: Result) -> str:
-    seen = found.response
-    frequency = np.geomspace(seen.frequency[0], seen.frequency[-1], 300)
-    value = bode.held_response(found.plant.model, frequency, seen.period, found.plant.delay)
-
-    def decibel(v: Complexes) -> Floats:
-        size: Floats = 20.0 * np.log10(np.abs(v))
-        return size
-
-    def degrees(v: Complexes) -> Floats:
-        turn: Floats = np.degrees(np.unwrap(np.angle(v)))
-        return turn
-
+    measured, valve = found.tests.response, found.tests.plant
+    frequency = np.geomspace(measured.frequency[0], measured.frequency[-1], 300)
+    value = bode.held_response(valve.model, frequency, measured.period, valve.delay)
+    plots = [
+        Plot(
+            title,
+            [
+                Line("measured", measured.frequency, read(measured.value)),
+                Line("model", frequency, read(value), dashed=True),
+            ],
+        )
+        for title, read in (("[dB]", bode.decibels), ("[deg]", bode.degrees))
+    ]
+    plots.append(Plot("coherence", [Line("measured", measured.frequency, measured.coherence)]))
     return (
         "<p>Measured: the first harmonic, friction taken out as a square wave; near 0 Hz the spool sticks at "
         "each turn, which the model knows and this response does not.</p>"
-        + pages.figure(
-            [
-                Plot(
-                    title,
-                    [
-                        Line("measured", seen.frequency, turn(seen.value)),
-                        Line("model", frequency, turn(value), dashed=True),
-                    ],
-                )
-                for title, turn in (("[dB]", decibel), ("[deg]", degrees))
-            ]
-            + [Plot("coherence", [Line("measured", seen.frequency, seen.coherence)])],
-            "frequency [Hz]",
-            logarithmic_x=True,
-        )
+        + pages.figure(plots, "frequency [Hz]", logarithmic_x=True)
     )
 
 
@@ -188,8 +172,3 @@ def _verification(record: Record) -> str:
         ],
         "time [s]",
     )
-
-
-def _parameters(found: Result) -> str:
-    rows = [[name, as_text(found.before[name]), as_text(value)] for name, value in found.applied.items()]
-    return pages.table(["parameter", "before", "now"], rows)

@@ -46,7 +46,7 @@ class TunedGains(NamedTuple):
     tuned: Tuned
     motions: list[TuningMotion]
     valve: Values  # of the simulated valve, with the limit of the voltage that is in force
-    chosen: Values  # the controller's parameters that are set
+    changes: Values  # the controller's parameters that are set
     note: str = ""  # on another search
 
 
@@ -59,9 +59,9 @@ class VerifyingMotion(NamedTuple):
 
     def since(self, stretch: int) -> "VerifyingMotion":
         """The run with the stretches from this number on."""
-        left = self.stretches[stretch:]
         if stretch == 0:
             return self
+        left = self.stretches[stretch:]
         wanted = np.concatenate([self.wanted[: self.judged], self.wanted[left[0] :]])
         return VerifyingMotion(wanted, self.judged, tuple(s - left[0] + self.judged for s in left))
 
@@ -81,15 +81,14 @@ class Verification(NamedTuple):
 class Task(NamedTuple):
     """What gains of one law are tuned on."""
 
-    law: str
     problem: Problem
     unseen: Problem  # other valves
     valve: Values  # of the simulated valve, with the limit of the voltage that is in force
-    own: Values  # what the law gets to know of the valve
+    knowledge: Values  # what the law gets to know of the valve
     starts: Sequence[Values]  # values of the controller, whose gains are among the first that are tried
 
 
-def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Rest, wider: float) -> Task:
+def task(plan: Plan, before: Values, fitted: Plant, known: model.Known, rest: Rest, wider: float) -> Task:
     """The task of tuning the law of ``plan`` for the fitted valve and a box around it.
 
     ``wider``: times as wide as usual. Beyond that a voltage that the controller reports as an oscillation
@@ -100,53 +99,56 @@ def task(plan: Plan, before: Values, found: Plant, known: model.Known, rest: Res
     valve = updated(
         NODES["valve_simulator"],
         defaults(NODES["valve_simulator"]),
-        plant.values(found, rest, period, limits.voltage, plan.sensor_delay),
+        plant.values(fitted, rest, period, limits.voltage, plan.sensor_delay),
     )
-    own = {**_forgotten(before, plan.law), **model.controller_values(known, plan.law)}
-    own = _without_form(own, before, plan.law)
+    knowledge = _knowledge(before, known, plan.law)
     values = updated(
         CONTROLLER,
         before,
-        {**own, "controller": plan.law, "u_max": limits.voltage, "command_limit": limits.travel},
+        {**knowledge, "controller": plan.law, "u_max": limits.voltage, "command_limit": limits.travel},
     )
-    settings = {
-        "controller": values,
-        "valve_simulator": valve,
-        "command_source": updated(
-            NODES["command_source"], defaults(NODES["command_source"]), {"sample_period": period}
-        ),
-    }
-    quantities = model.box(found, period, wider, plan.sensor_delay)
-    seen, other = (
-        box.study_of(settings, quantities, count, seed)
-        for count, seed in ((plan.valves, plan.seed), (plan.unseen, plan.seed + box.UNSEEN_SEED))
-    )
+    source = updated(NODES["command_source"], defaults(NODES["command_source"]), {"sample_period": period})
+    settings = {"controller": values, "valve_simulator": valve, "command_source": source}
+    quantities = model.box(fitted, period, wider, plan.sensor_delay)
+    other_seed = plan.seed + box.UNSEEN_SEED
+    searched = box.study_of(settings, quantities, plan.valves, plan.seed)
+    other = box.study_of(settings, quantities, plan.unseen, other_seed)
     problem = Problem(
         values=values,
-        motions=model.motions(found, known, limits, period),
-        plants=box.drawn(seen),
-        box=box.bounding(seen),
+        motions=model.motions(fitted, known, limits, period),
+        plants=box.drawn(searched),
+        box=box.bounding(searched),
         limits=trial.USUAL,
         preview=False,
         seed=plan.seed,
         strict=wider > 1.0,
-        scale=scale_of(found.model),
+        scale=scale_of(fitted.model),
     )
-    unseen = problem._replace(
-        plants=box.drawn(other), box=box.bounding(other), seed=plan.seed + box.UNSEEN_SEED
-    )
+    unseen = problem._replace(plants=box.drawn(other), box=box.bounding(other), seed=other_seed)
     starts = [before] if before["controller"] == plan.law else []
-    return Task(plan.law, problem, unseen, valve, own, starts)
+    return Task(problem, unseen, valve, knowledge, starts)
 
 
-def _forgotten(before: Values, law: str) -> Values:
-    """Usual values of what ``law`` was told of an earlier friction by the parameters ``before``."""
+def _knowledge(before: Values, known: model.Known, law: str) -> Values:
+    """What ``law`` gets to know of the valve.
+
+    Terms for an earlier friction, which the parameters ``before`` have, get their usual values. The form of
+    the first gains is left out, so that each form is tuned, unless ``before`` chooses one.
+    """
     usual = defaults(CONTROLLER)
-    names = (name for name in FRICTION_TERMS if name.startswith(f"{law}."))
-    return {name: usual[name] for name in names if before[name] != usual[name]}
+    earlier = {
+        name: usual[name]
+        for name in FRICTION_TERMS
+        if name.startswith(f"{law}.") and before[name] != usual[name]
+    }
+    forms = {
+        name for variant in LAWS[law].variants for name, value in variant.items() if isinstance(value, str)
+    }
+    values = {**earlier, **model.controller_values(known, law)}
+    return {name: v for name, v in values.items() if name not in forms or before[name] != usual[name]}
 
 
-def learning_path(found: Plant, law: str, travel: float) -> Values:
+def learning_path(fitted: Plant, law: str, travel: float) -> Values:
     """Path after a start on which ``law`` does not adapt, if it has one.
 
     It is the distance between the two positions in which 0 V can leave the spool within its ``travel`` [V].
@@ -154,67 +156,52 @@ def learning_path(found: Plant, law: str, travel: float) -> Values:
     """
     if law != dcarc.LAW.name:
         return {}
-    remanent = 0.0 if found.magnet is None else 0.5 * found.magnet.hysteresis
-    farthest = abs(found.model.static_gain) * (found.friction.coulomb + remanent)
+    remanent = 0.0 if fitted.magnet is None else 0.5 * fitted.magnet.hysteresis
+    farthest = abs(fitted.model.static_gain) * (fitted.friction.coulomb + remanent)
     return {"dcarc.learning_path": float(f"{2.0 * min(farthest, travel):.3g}")}
 
 
-def _without_form(own: Values, before: Values, law: str) -> Values:
-    """``own`` values of ``law`` without the form of its first gains, so that each of its forms is tuned.
-
-    A form that the parameters ``before`` choose stays.
-    """
-    usual = defaults(CONTROLLER)
-    forms = {
-        name for variant in LAWS[law].variants for name, value in variant.items() if isinstance(value, str)
-    }
-    return {name: value for name, value in own.items() if name not in forms or before[name] != usual[name]}
-
-
-def tuned(
-    plan: Plan, before: Values, found: Plant, known: model.Known, rest: Rest, wider: float, told: Progress
-) -> TunedGains:
-    """Gains for the ``task``; what ``told`` raises ends the search. Raises ParameterError."""
-    made = task(plan, before, found, known, rest, wider)
+def tuned(plan: Plan, wanted: Task, fitted: Plant, tell: Progress) -> TunedGains:
+    """Gains for the task ``wanted``; what ``tell`` raises ends the search. Raises ParameterError."""
     law = LAWS[plan.law]
-    total = plan.budget * len(tuner.variants(law, made.problem.values))
+    total = plan.budget * len(tuner.variants(law, wanted.problem.values))
     verifying = VERIFYING * plan.unseen / plan.valves
 
     def done(sets: float, verifications: int = 1) -> None:
-        told(sets, total + verifications * verifying)
+        tell(sets, total + verifications * verifying)
 
     done(0.0)
     best = tuner.tuned(
-        law, made.problem, made.unseen, Aim(plan.chatter, plan.firm), plan.budget, plan.seed, done,
-        plan.threads, lambda tried: done(total + tried * verifying, tried + 1), made.starts,
+        law, wanted.problem, wanted.unseen, Aim(plan.chatter, plan.firm), plan.budget, plan.seed, done,
+        plan.threads, lambda tried: done(total + tried * verifying, tried + 1), wanted.starts,
     )  # fmt: skip
     done(total + verifying)
-    late = learning_path(found, best.law, plan.limits.travel)
-    chosen = {**made.own, **best.chosen.changes, **late, "controller": best.law}
-    return TunedGains(best, list(made.problem.motions), made.valve, chosen)
+    late = learning_path(fitted, best.law, plan.limits.travel)
+    changes = {**wanted.knowledge, **best.chosen.changes, **late, "controller": best.law}
+    return TunedGains(best, list(wanted.problem.motions), wanted.valve, changes)
 
 
-def loudness(plan: Plan, before: Values, made: TunedGains) -> float:
-    """c_u of the simulated verification run with the gains ``made``.
+def loudness(plan: Plan, before: Values, candidate: TunedGains) -> float:
+    """c_u of the simulated verification run with the gains of ``candidate``.
 
     The search knows the mean of valves and motions; a single run can have more. Raises ParameterError.
     """
-    motion = verifying_motion(made, number(before, "sample_period"))
-    return _simulated(_limited(plan, before, made), made.valve, motion.wanted, motion.judged).indices.c_u
+    motion = verifying_motion(candidate, number(before, "sample_period"))
+    return _simulated(_limited(plan, before, candidate.changes), candidate.valve, motion).indices.c_u
 
 
-def verifying_motion(made: TunedGains, period: float) -> VerifyingMotion:
+def verifying_motion(candidate: TunedGains, period: float) -> VerifyingMotion:
     """Commands of the verification run: the motions of the search, each with a pause behind it.
 
     First come a rest and the last motion. They free the spool and are not judged. Otherwise a law that adapts
     takes the force that holds the spool for other friction.
     """
     pause = np.zeros(round(PAUSE / period))
-    approach = [np.zeros(round(HOME / period)), made.motions[-1].wanted, pause]
-    parts = [part for motion in made.motions for part in (motion.wanted, pause)]
+    approach = [np.zeros(round(HOME / period)), candidate.motions[-1].wanted, pause]
+    parts = [part for motion in candidate.motions for part in (motion.wanted, pause)]
     whole = np.concatenate([*approach, *parts, np.zeros(round(REST / period))])
     judged = sum(len(part) for part in approach)
-    lengths = [len(motion.wanted) + len(pause) for motion in made.motions[:-1]]
+    lengths = [len(motion.wanted) + len(pause) for motion in candidate.motions[:-1]]
     return VerifyingMotion(whole, judged, tuple(judged + int(n) for n in np.cumsum([0, *lengths])))
 
 
@@ -225,11 +212,12 @@ class _Simulated(NamedTuple):
     bounded: bool  # whether it stays finite, and below the limit of the voltage most of the time
 
 
-def _simulated(values: Values, valve: Values, wanted: Floats, judged: int) -> _Simulated:
+def _simulated(values: Values, valve: Values, motion: VerifyingMotion) -> _Simulated:
     """Run of a controller with ``values`` on the ``valve``, from a spool at rest in the centre.
 
-    The ``wanted`` motion [V] comes as points of a trajectory, as on the running valve.
+    The motion [V] comes as points of a trajectory, as on the running valve.
     """
+    wanted, judged = motion.wanted, motion.judged
     follow = watch.places_of(LAWS[word(values, "controller")], 0.0)["law_commanded"]
     params = build.law_params(values)
     points = zip(wanted, *derivatives(wanted, number(valve, "sample_period")), strict=True)
@@ -237,42 +225,37 @@ def _simulated(values: Values, valve: Values, wanted: Floats, judged: int) -> _S
     as_points = updated(CONTROLLER, values, {"reshaping.lead": 0.0, "command_limit": 100.0})
     with np.errstate(over="ignore", invalid="ignore"):
         run = offline.simulate(as_points, valve, command)
-        found = indices((run.measurement - wanted)[judged:], run.voltage[judged:], run.period)
+        reached = indices((run.measurement - wanted)[judged:], run.voltage[judged:], run.period)
     bounded = np.all(np.isfinite(run.measurement)) and np.mean(run.at_limit[judged:]) < SATURATED
-    return _Simulated(found, bool(bounded))
+    return _Simulated(reached, bool(bounded))
 
 
-def _limited(plan: Plan, before: Values, made: TunedGains) -> Values:
-    """The controller's parameters with the gains ``made`` and the limits of the commissioning."""
+def _limited(plan: Plan, before: Values, changes: Values) -> Values:
+    """The controller's parameters with ``changes`` and the limits of the commissioning."""
     limited = {"u_max": plan.limits.voltage, "command_limit": plan.limits.travel}
-    return updated(CONTROLLER, before, {**made.chosen, **limited})
+    return updated(CONTROLLER, before, {**changes, **limited})
 
 
 def judged(
-    plan: Plan, before: Values, gains: TunedGains, motion: VerifyingMotion, record: Record
+    plan: Plan, before: Values, candidate: TunedGains, motion: VerifyingMotion, record: Record
 ) -> Verification:
     """Judge the ``record`` of a verification run, its judged part, by the simulation of its ``motion``.
 
     Raises ParameterError.
     """
-    chatter = max(plan.chatter, gains.tuned.chatter or 0.0)
     measured = _indices(record)
-    limited = {"u_max": plan.limits.voltage, "command_limit": plan.limits.travel}
-    values = _limited(plan, before, gains)
-    made = _simulated(values, gains.valve, motion.wanted, motion.judged).indices
-    old = _simulated(updated(CONTROLLER, before, limited), gains.valve, motion.wanted, motion.judged)
-    former = old.indices if old.bounded else None
+    expected = _simulated(_limited(plan, before, candidate.changes), candidate.valve, motion).indices
+    former = _simulated(_limited(plan, before, {}), candidate.valve, motion)
     reasons = []
-    most = WORSE * made.e_rms + SLACK
-    if not measured.e_rms <= most:
+    if not measured.e_rms <= WORSE * expected.e_rms + SLACK:
         reasons.append(
             f"the error is {1e3 * measured.e_rms:.3g} mV rms on the running valve, and "
-            f"{1e3 * made.e_rms:.3g} mV in simulation: the loop on the valve is not that of the model"
+            f"{1e3 * expected.e_rms:.3g} mV in simulation: the loop on the valve is not that of the model"
         )
-    most_chatter = WORSE * max(chatter, made.c_u)
+    most_chatter = WORSE * max(plan.chatter, candidate.tuned.chatter or 0.0, expected.c_u)
     if not measured.c_u <= most_chatter:
         reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
-    return Verification(record, measured, made, former, reasons)
+    return Verification(record, measured, expected, former.indices if former.bounded else None, reasons)
 
 
 def judged_part(motion: VerifyingMotion, whole: Record, end: int) -> Record:
@@ -291,72 +274,70 @@ def judged_part(motion: VerifyingMotion, whole: Record, end: int) -> Record:
     return part
 
 
-def contends(plan: Plan, made: Verification, doubted: bool = False) -> bool:
-    """Whether the parameters from before may be as good as those of ``made``, as far as simulation knows.
+def contends(plan: Plan, verified: Verification, doubted: bool = False) -> bool:
+    """Whether the parameters from before may be as good as the new gains, as far as simulation knows.
 
     ``doubted``: it is not believed, unless it says that they are unstable.
     """
-    if made.former is None:
+    former = verified.former
+    if former is None:
         return False
-    near = made.former.e_rms < CONTENDS * made.measured.e_rms and made.former.c_u <= _quiet(plan, made)
+    near = former.e_rms < CONTENDS * verified.measured.e_rms and former.c_u <= _quiet(plan, verified)
     return doubted or near
 
 
-def _quiet(plan: Plan, made: Verification) -> float:
+def _quiet(plan: Plan, verified: Verification) -> float:
     """c_u up to which parameters from before may be better than the new gains, which may be louder."""
-    return max(WORSE * plan.chatter, made.measured.c_u)
+    return max(WORSE * plan.chatter, verified.measured.c_u)
 
 
-def promised(made: TunedGains) -> tuple[bool, float]:
+def promised(candidate: TunedGains) -> tuple[bool, float]:
     """Order of gains of several laws: those that hold first, then by their error on valves not seen."""
-    verified = made.tuned.chosen.verified
+    verified = candidate.tuned.chosen.verified
     return bool(verified.reasons), trial.typical(verified.seen.e_rms)
 
 
-def rivals(made: TunedGains, best: TunedGains) -> bool:
-    """Whether ``made`` promises about as little error as the ``best``."""
-    return promised(made)[1] < CONTENDS * promised(best)[1]
+def rivals(candidate: TunedGains, best: TunedGains) -> bool:
+    """Whether ``candidate`` promises about as little error as the ``best``."""
+    return promised(candidate)[1] < CONTENDS * promised(best)[1]
 
 
 def quieter(
-    made: TunedGains, loud: float, tried: Sequence[tuple[float, TunedGains]], too_loud: float
+    usual: TunedGains, loud: float, tried: Sequence[tuple[float, TunedGains]], too_loud: float
 ) -> TunedGains:
-    """The best of ``made``, with c_u ``loud``, and of quieter gains with their c_u.
+    """The best of the ``usual`` gains, with c_u ``loud``, and of quieter gains with their c_u.
 
-    Up to ``too_loud`` only rivals of ``made`` are better, beyond that whatever is within it.
+    Up to ``too_loud`` only rivals of the ``usual`` ones are better, beyond that whatever is within it.
     """
     within = [again for quiet, again in tried if quiet <= too_loud < loud]
-    rival = [(quiet, again) for quiet, again in tried if rivals(again, made)]
+    rival = [(quiet, again) for quiet, again in tried if rivals(again, usual)]
     if within:
         return min(within, key=promised)
-    return min(rival, key=lambda one: one[0])[1] if rival else made
+    return min(rival, key=lambda one: one[0])[1] if rival else usual
 
 
 def beside(several: Sequence[TunedGains]) -> list[str]:
     """A sentence about laws that were tuned beside each other, the better first."""
     if len(several) < 2:
         return []
-    told = []
-    for made in several:
-        verified = made.tuned.chosen.verified
-        error, holds = (
-            1e3 * trial.typical(verified.seen.e_rms),
-            "" if not verified.reasons else ", not accepted",
-        )
-        told.append(f"{made.tuned.law} {error:.3g} mV with c_u {verified.seen.chatter:.3f}{holds}")
-    return [f"in simulation, on valves that the searches did not see: {', '.join(told)}"]
+    errors = []
+    for candidate in several:
+        verified = candidate.tuned.chosen.verified
+        error = f"{1e3 * trial.typical(verified.seen.e_rms):.3g} mV with c_u {verified.seen.chatter:.3f}"
+        errors.append(f"{candidate.tuned.law} {error}{', not accepted' if verified.reasons else ''}")
+    return [f"in simulation, on valves that the searches did not see: {', '.join(errors)}"]
 
 
-def against(plan: Plan, made: Verification, record: Record) -> Verification:
-    """Judge ``made`` by the ``record`` of the same run with the parameters from before."""
+def against(plan: Plan, verified: Verification, record: Record) -> Verification:
+    """Judge ``verified`` by the ``record`` of the same run with the parameters from before."""
     before = _indices(record)
-    reasons = list(made.reasons)
-    if before.e_rms < made.measured.e_rms and before.c_u <= _quiet(plan, made):
+    reasons = list(verified.reasons)
+    if before.e_rms < verified.measured.e_rms and before.c_u <= _quiet(plan, verified):
         reasons.append(
             f"on the running valve the parameters from before do better, {1e3 * before.e_rms:.3g} mV rms "
-            f"instead of {1e3 * made.measured.e_rms:.3g} mV"
+            f"instead of {1e3 * verified.measured.e_rms:.3g} mV"
         )
-    return made._replace(before=before, reasons=reasons)
+    return verified._replace(before=before, reasons=reasons)
 
 
 def _indices(record: Record) -> Indices:

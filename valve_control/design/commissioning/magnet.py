@@ -34,7 +34,7 @@ MOST_RATIO = 2.0  # -  static over Coulomb friction
 WIDEST = 2.0  # V  hysteresis and overlap
 LONGEST_DELAY = 0.005  # s
 SIDES = 0.5  # logarithm of the ratio of both gains
-EVALUATIONS, MOST = 40, 80  # of a usual search, for its progress, and of any; each with a Jacobian
+EVALUATIONS = 80  # of a search, at most, each with a Jacobian
 CONVERGED = 1e-3  # relative change of the cost in one evaluation, below which a search ends
 STEP = 2e-3  # of an unknown, for the Jacobian
 INSIDE = 1e-3  # of the bounds, within which a search begins
@@ -73,22 +73,18 @@ class Magnet(NamedTuple):
         return transfer(valve.magnet, valve.spool)
 
 
-def solenoid_params(found: Magnet, period: float) -> solenoid.Params:
-    """``found`` as a simulated valve without noise, and without limits."""
+def solenoid_params(m: Magnet, period: float) -> solenoid.Params:
+    """``m`` as a simulated valve without noise, and without limits."""
     without_end = 1e6
     return solenoid.design(
-        solenoid.Amplifier(-without_end, found.delay / period, 0.0, 0.0),
-        solenoid.Magnet(
-            found.coil, 0.0, found.hysteresis, found.positive, found.negative, found.overlap, 0.0
-        ),
-        solenoid.Spool(
-            found.speed, found.damping, found.gain, 0.0, found.offset, 0.0, -without_end, without_end
-        ),
+        solenoid.Amplifier(-without_end, m.delay / period, 0.0, 0.0),
+        solenoid.Magnet(m.coil, 0.0, m.hysteresis, m.positive, m.negative, m.overlap, 0.0),
+        solenoid.Spool(m.speed, m.damping, m.gain, 0.0, m.offset, 0.0, -without_end, without_end),
         solenoid.Friction(
-            found.coulomb,
-            (found.static_ratio - 1.0) * found.coulomb,
+            m.coulomb,
+            (m.static_ratio - 1.0) * m.coulomb,
             STRIBECK,
-            found.coulomb / found.presliding,
+            m.coulomb / m.presliding,
             0.0,
         ),
         solenoid.Sensor(IDEAL, -without_end, without_end, 0.0, 0.0, 0.0, 1.0),
@@ -97,47 +93,47 @@ def solenoid_params(found: Magnet, period: float) -> solenoid.Params:
     )
 
 
-def without_solenoids(found: Magnet) -> tuple[TransferFunction, float] | None:
+def without_solenoids(m: Magnet) -> tuple[TransferFunction, float] | None:
     """Model of second order and dead time [s] of a valve whose coil is at its bound; None: it is not.
 
     A lag that is so short is no coil, and counts as dead time.
     """
-    if found.coil > AT_BOUND * FASTEST_COIL:
+    if m.coil > AT_BOUND * FASTEST_COIL:
         return None
-    squared = found.speed**2
-    model = TransferFunction((found.gain * squared,), (1.0, 2.0 * found.damping * found.speed, squared))
-    return model, found.delay + found.coil
+    squared = m.speed**2
+    model = TransferFunction((m.gain * squared,), (1.0, 2.0 * m.damping * m.speed, squared))
+    return model, m.delay + m.coil
 
 
-def values(found: Magnet, sensor_delay: float) -> Values:
-    """``found`` as parameters of the simulated valve.
+def values(m: Magnet, sensor_delay: float) -> Values:
+    """``m`` as parameters of the simulated valve.
 
     ``sensor_delay`` [s]: what of the dead time is the LVDT's. An overlap of less than TOLD_OVERLAP is none: a
     fit is not so exact, and with an underlap, be it ever so small, the valve has twice the gain at 0 V.
     """
-    overlap = found.overlap if abs(found.overlap) >= TOLD_OVERLAP else 0.0
-    behind = min(found.delay, sensor_delay)
-    made = {
-        "solenoid.natural_frequency": found.speed / (2.0 * math.pi),
-        "solenoid.damping": found.damping,
-        "solenoid.coil": found.coil,
-        "solenoid.gain": found.gain,
-        "solenoid.positive": found.positive,
-        "solenoid.negative": found.negative,
-        "solenoid.hysteresis": found.hysteresis,
+    overlap = m.overlap if abs(m.overlap) >= TOLD_OVERLAP else 0.0
+    behind = min(m.delay, sensor_delay)
+    parameters = {
+        "solenoid.natural_frequency": m.speed / (2.0 * math.pi),
+        "solenoid.damping": m.damping,
+        "solenoid.coil": m.coil,
+        "solenoid.gain": m.gain,
+        "solenoid.positive": m.positive,
+        "solenoid.negative": m.negative,
+        "solenoid.hysteresis": m.hysteresis,
         "solenoid.overlap": overlap,
-        "solenoid.dead_time": found.delay - behind,
+        "solenoid.dead_time": m.delay - behind,
         "lvdt.delay": behind,
-        "friction.coulomb": found.coulomb,
-        "friction.static_ratio": found.static_ratio,
+        "friction.coulomb": m.coulomb,
+        "friction.static_ratio": m.static_ratio,
         "friction.stribeck_velocity": STRIBECK,
-        "friction.presliding": found.presliding,
-        "disturbance.offset": max(-10.0, min(10.0, found.offset)),
+        "friction.presliding": m.presliding,
+        "disturbance.offset": max(-10.0, min(10.0, m.offset)),
     }
-    return {"valve": "solenoid", **{name: float(f"{value:.6g}") for name, value in made.items()}}
+    return {"valve": "solenoid", **{name: float(f"{value:.6g}") for name, value in parameters.items()}}
 
 
-def begun(model: TransferFunction, friction: Friction, offset: float, delay: float) -> Magnet:
+def first_guess(model: TransferFunction, friction: Friction, offset: float, delay: float) -> Magnet:
     """Where a search begins: a fitted ``model``, its ``delay`` [s] and ``offset`` [V] as a disturbance."""
     poles = sorted(np.roots(model.denominator), key=lambda pole: (abs(pole), pole.imag))
     slow = poles[:2] if len(poles) < 3 or abs(poles[1] - np.conj(poles[0])) < 1e-6 * abs(poles[0]) else None
@@ -194,19 +190,19 @@ _UNKNOWNS = {  # in the order of ``Magnet``
 UNKNOWNS = len(_UNKNOWNS)
 
 
-def unknowns(found: Magnet, period: float) -> Floats:
-    """``found`` as unknowns of a search, all of the size of 1."""
-    scaled = [(u, value / (u.unit or period)) for u, value in zip(_UNKNOWNS.values(), found, strict=True)]
+def unknowns(m: Magnet, period: float) -> Floats:
+    """``m`` as unknowns of a search, all of the size of 1."""
+    scaled = [(u, value / (u.unit or period)) for u, value in zip(_UNKNOWNS.values(), m, strict=True)]
     return np.array([u.shift + (math.log(value) if u.logarithmic else value) for u, value in scaled])
 
 
 def of_unknowns(x: Floats, period: float) -> Magnet:
     """The valve of ``unknowns``."""
-    made = {}
-    for (name, u), value in zip(_UNKNOWNS.items(), x.tolist(), strict=True):
+    numbers = []
+    for u, value in zip(_UNKNOWNS.values(), x.tolist(), strict=True):
         moved = value - u.shift
-        made[name] = (u.unit or period) * (math.exp(moved) if u.logarithmic else moved)
-    return Magnet(**made)
+        numbers.append((u.unit or period) * (math.exp(moved) if u.logarithmic else moved))
+    return Magnet(*numbers)
 
 
 def bounds(begin: Magnet, period: float) -> tuple[Floats, Floats]:
@@ -221,12 +217,12 @@ def refined(
     begin: Magnet,
     period: float,
     errors: Callable[[Magnet], Floats],
-    counted: Callable[[], None],
+    tell: Callable[[], None],
     threads: int = 1,
 ) -> Magnet:
     """The valve near ``begin`` whose ``errors``, over what is allowed, are least.
 
-    On so many ``threads``, with the same result; ``counted`` is called here after each simulation.
+    On so many ``threads``, with the same result; ``tell`` is called here after each simulation.
     """
     low, high = bounds(begin, period)
     inside = np.clip(unknowns(begin, period), low + INSIDE * (high - low), high - INSIDE * (high - low))
@@ -235,7 +231,7 @@ def refined(
         return errors(of_unknowns(x, period))
 
     def residual(x: Floats) -> Floats:
-        counted()
+        tell()
         return simulated(x)
 
     with ThreadPoolExecutor(threads) as pool:
@@ -244,15 +240,15 @@ def refined(
             """Differences towards the middle of the bounds, so that all stay within."""
             steps = np.where(x > 0.5 * (low + high), -STEP, STEP) * np.maximum(1.0, np.abs(x))
             moved = [x + step * unit for step, unit in zip(steps, np.eye(len(x)), strict=True)]
-            errors_of = []
-            for found in pool.map(simulated, [x, *moved]):
-                counted()
-                errors_of.append(found)
-            here, *there = errors_of
+            results = []
+            for result in pool.map(simulated, [x, *moved]):
+                tell()
+                results.append(result)
+            here, *there = results
             return np.column_stack([(y - here) / step for y, step in zip(there, steps, strict=True)])
 
         done = scipy.optimize.least_squares(
             residual, inside, jacobian, bounds=(low, high), x_scale="jac", loss="soft_l1",
-            max_nfev=MOST, ftol=CONVERGED,
+            max_nfev=EVALUATIONS, ftol=CONVERGED,
         )  # fmt: skip
     return of_unknowns(done.x, period)

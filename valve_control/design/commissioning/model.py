@@ -45,94 +45,84 @@ class Known:
     """What the controller gets to know of the valve."""
 
     def __init__(
-        self, found: Plant, rest: Rest, period: float, u_max: float, law: str, sensor_delay: float = 0.0
+        self, plant: Plant, rest: Rest, period: float, u_max: float, law: str, sensor_delay: float = 0.0
     ) -> None:
-        """Fit the models of the laws to ``found``, and see that ``law`` can take its own.
+        """Fit the models of the laws to ``plant``, and see that ``law`` can take its own.
 
         Raises ParameterError.
         """
         frequency = np.geomspace(LOWEST, min(HIGHEST, FASTEST / period), FREQUENCIES)
-        value = held_response(found.model, frequency, period, found.delay)
+        value = held_response(plant.model, frequency, period, plant.delay)
         exact = Response(
             frequency, value, CERTAIN * np.abs(value), np.ones(len(value)), period, "fitted valve", ()
         )
-        order, zeros = len(found.model.denominator) - 1, len(found.model.numerator) - 1
-        late = found.delay > LATE * period
-        self.second = rational.fit(exact, 2, weighting="relative")
-        best = rational.fit(exact, order, zeros, late, "relative") if order > 2 else self.second
+        order, zeros = len(plant.model.denominator) - 1, len(plant.model.numerator) - 1
+        late = plant.delay > LATE * period
+        self.second = rational.fit(exact, 2, relative=True)
+        best = rational.fit(exact, order, zeros, late, True) if order > 2 else self.second
         self.theta = theta.suggest(exact, self.second, best, u_max)
 
         lvdt = Lvdt(rest.noise, rest.resolution)
-        delay = found.delay if late else 0.0
+        delay = plant.delay if late else 0.0
         whole = first_gains.KnownValve(
-            model=found.model,
+            model=plant.model,
             delay=delay,
             theta=self.theta,
             lvdt=lvdt,
             period=period,
             u_max=u_max,
-            friction=_rubbing(found),
+            friction=_rubbing(plant),
             sensor_delay=sensor_delay,
-            magnet=_sides(found),
+            magnet=_sides(plant),
         )
-        gains = first_gains.first(whole)
-        own = f"{law}.denominator"
-        refused = _refusal(gains, law)
-        if refused is not None and own in (p.name for p in CONTROLLER) and own not in gains.values:
-            gains = _simpler(exact, whole, law, refused)
+        gains, notes = first_gains.first(whole), list[str]()
+        if law in gains.refusals and any(p.name == f"{law}.denominator" for p in CONTROLLER):
+            gains, notes = _simpler(exact, whole, law, gains.refusals[law])
         self.gains = gains.values
-        self.notes = (*gains.notes, *dead_time.notes(delay, sensor_delay))
+        self.notes = (*notes, *gains.notes, *dead_time.notes(delay, sensor_delay))
 
 
-def _rubbing(found: Plant) -> Friction | None:
+def _rubbing(plant: Plant) -> Friction | None:
     """Friction of a valve with solenoids, apart from its play; None: the law learns it."""
-    if found.magnet is None:
+    if plant.magnet is None:
         return None
-    m = found.magnet
+    m = plant.magnet
     return Friction(m.coulomb, m.presliding, m.gain, m.offset, 0)
 
 
-def _sides(found: Plant) -> first_gains.Magnet | None:
-    m = found.magnet
+def _sides(plant: Plant) -> first_gains.Magnet | None:
+    m = plant.magnet
     if m is None:
         return None
     return first_gains.Magnet(m.coil, 0.5 * m.hysteresis, m.positive / m.negative - 1.0)
 
 
 def _simpler(
-    exact: Response,
-    whole: first_gains.KnownValve,
-    law: str,
-    refused: str,
-) -> first_gains.FirstGains:
-    """First gains of ``law``, which takes no model of the form of ``whole``, with one of lower order.
+    exact: Response, whole: first_gains.KnownValve, law: str, refusal: str
+) -> tuple[first_gains.FirstGains, list[str]]:
+    """First gains of ``law``, which takes no model of the form of ``whole``, with one of lower order; a note.
 
     It is a third order without zeros, or has zeros far away that cannot be inverted, or too much dead time.
     Raises ParameterError.
     """
-    reason = refused
+    reason = refusal
     for lower in range(max(2, len(whole.model.denominator) - 2), 1, -1):
         try:
-            simpler = rational.fit(exact, lower, None, True, "relative", MOST_DELAY * whole.period)
+            simpler = rational.fit(exact, lower, None, True, True, MOST_DELAY * whole.period)
         except ParameterError as error:
             reason = str(error)
             continue
         if np.max(np.abs(np.roots(simpler.model.numerator)), initial=0.0) > math.pi / whole.period:
             continue  # a zero that is not in the data
         gains = first_gains.first(whole._replace(model=simpler.model, delay=simpler.delay), whole)
-        if f"{law}.denominator" in gains.values:
+        if law not in gains.refusals:
             note = (
                 f"{law} gets a model of order {lower} with {1e3 * simpler.delay:.2g} ms of dead time, "
-                f"because {refused}"
+                f"because {refusal}"
             )
-            return gains._replace(notes=(note, *gains.notes))
-        reason = _refusal(gains, law) or reason
+            return gains, [note]
+        reason = gains.refusals[law]
     raise ParameterError(f"{law} gets no model: {reason}")
-
-
-def _refusal(gains: first_gains.FirstGains, law: str) -> str | None:
-    """Why there are no first gains of ``law``; None: there are, or nobody sought them."""
-    return next((note.partition(": ")[2] for note in gains.notes if note.startswith(f"{law}'s")), None)
 
 
 def controller_values(known: Known, law: str) -> Values:
@@ -149,14 +139,14 @@ def controller_values(known: Known, law: str) -> Values:
     return {**estimates, **own}
 
 
-def box(found: Plant, period: float, wider: float = 1.0, sensor_delay: float = 0.0) -> list[Quantity]:
+def box(plant: Plant, period: float, wider: float = 1.0, sensor_delay: float = 0.0) -> list[Quantity]:
     """What one valve may be from day to day, around what was found; ``wider``: times as far as usual.
 
     ``sensor_delay`` [s]: what of the dead time of a valve with solenoids is the sensor's.
     """
-    behind = found.delay if found.magnet is None else min(found.delay, sensor_delay)
+    behind = plant.delay if plant.magnet is None else min(plant.delay, sensor_delay)
     spread, rubbing, shift = wider * SPREAD, wider * RUBBING, wider * OFFSET
-    friction, offset = found.friction.coulomb, max(-9.0, min(9.0, found.offset))
+    friction, offset = plant.friction.coulomb, max(-9.0, min(9.0, plant.offset))
     quantities = [
         Quantity("gain", 1.0 - spread, 1.0 + spread, "-"),
         Quantity("speed", 1.0 - spread, 1.0 + spread, "-"),
@@ -169,13 +159,13 @@ def box(found: Plant, period: float, wider: float = 1.0, sensor_delay: float = 0
     return quantities
 
 
-def motions(found: Plant, known: Known, limits: SafetyLimits, period: float) -> list[TuningMotion]:
+def motions(plant: Plant, known: Known, limits: SafetyLimits, period: float) -> list[TuningMotion]:
     """Strokes and a sine, as fast as the valve can follow within ``limits``. Raises ParameterError."""
-    left, weaker = DRIVEN * limits.voltage - found.friction.coulomb - abs(found.offset), 1.0
-    if found.magnet is not None:
-        left -= 0.5 * found.magnet.hysteresis + max(0.0, found.magnet.overlap)
-        weaker = min(found.magnet.positive, found.magnet.negative)
-    height = min(ROOM * limits.travel, STATIC * left * weaker * abs(found.model.static_gain))
+    left, weaker = DRIVEN * limits.voltage - plant.friction.coulomb - abs(plant.offset), 1.0
+    if plant.magnet is not None:
+        left -= 0.5 * plant.magnet.hysteresis + max(0.0, plant.magnet.overlap)
+        weaker = min(plant.magnet.positive, plant.magnet.negative)
+    height = min(ROOM * limits.travel, STATIC * left * weaker * abs(plant.model.static_gain))
     if height <= 0.0:
         raise ParameterError(
             "friction, hysteresis, overlap and offset take up the limit of the voltage, "
@@ -195,10 +185,10 @@ def motions(found: Plant, known: Known, limits: SafetyLimits, period: float) -> 
     sine = next(
         (m for f in np.geomspace(20.0, 0.5, 40) if need(m := _sine(small, float(f), period)) <= left), None
     )
-    made = [TuningMotion(name, m) for name, m in (("strokes", strokes), ("sine", sine)) if m is not None]
-    if not made:
+    possible = [TuningMotion(name, m) for name, m in (("strokes", strokes), ("sine", sine)) if m is not None]
+    if not possible:
         raise ParameterError("no motion can be found that the valve follows within the limit of the voltage")
-    return made
+    return possible
 
 
 def _strokes(height: float, velocity: float, period: float) -> Floats:

@@ -29,7 +29,7 @@ from valve_control.control.plant import registry, valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
 from valve_control.design.commissioning import magnet
-from valve_control.design.commissioning.bench import Progress, Record
+from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.magnet import Magnet
 from valve_control.design.commissioning.statics import Friction, Rest
 from valve_control.design.identification.rational import Fit
@@ -49,9 +49,10 @@ SUSPECT = 0.75  # error from which on a valve with solenoids is tried
 AS_GOOD = 1.05  # times the error of the valve with solenoids, up to which a linear one stands for it
 SIMPLER = 0.8  # times the error of the linear valve, under which that with solenoids counts
 PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.1  # V  of the bristles: first guess and bounds
-BRISTLE_UNKNOWNS = 8
 POPULATION, TRIALS = 24, 2500  # valves with bristles that are simulated: with fewer the search ends anywhere
-BEGUN = 0.45  # of the bound, the fastest pole with which a search begins: a coefficient may be a sum of two
+FIRST_POLE = (
+    0.45  # of the bound, the fastest pole with which a search begins: a coefficient may be a sum of two
+)
 AWAY = 0.1  # of the logarithms of coefficients, from their bounds, where a search begins
 FIRST_STEP = 0.2  # of the spreads of their search
 # Times the speed of the second order without bristles, where their searches begin: of six searches about four
@@ -81,8 +82,8 @@ class Plant(NamedTuple):
     magnet: Magnet | None = None  # a valve with solenoids, of which the others are a part; None: linear
 
 
-def values(found: Plant, rest: Rest, period: float, u_max: float, sensor_delay: float = 0.0) -> Values:
-    """``found`` as parameters of the simulated valve.
+def values(fitted: Plant, rest: Rest, period: float, u_max: float, sensor_delay: float = 0.0) -> Values:
+    """The ``fitted`` valve as parameters of the simulated one.
 
     ``sensor_delay`` [s]: what of the dead time of a valve with solenoids is the sensor's.
     """
@@ -91,26 +92,24 @@ def values(found: Plant, rest: Rest, period: float, u_max: float, sensor_delay: 
         "u_max": u_max,
         "lvdt.noise": rest.noise,
         "lvdt.resolution": rest.resolution,
+        "gain_scale": 1.0,
+        "flow_force": 0.0,
     }
-    if found.magnet is not None:
-        of_valve = magnet.values(found.magnet, sensor_delay)
-        return {**of_valve, **common, **NO_STOPS, "solenoid.u_min": -u_max, "flow_force": 0.0,
-                "gain_scale": 1.0}  # fmt: skip
-    numerator, denominator = ([float(f"{c:.10g}") for c in part] for part in found.model)
-    made: Values = {
+    if fitted.magnet is not None:
+        of_valve = magnet.values(fitted.magnet, sensor_delay)
+        return {**of_valve, **common, **NO_STOPS, "solenoid.u_min": -u_max}
+    numerator, denominator = ([float(f"{c:.10g}") for c in part] for part in fitted.model)
+    return {
         "valve": "custom",
         "numerator": numerator,
         "denominator": denominator,
-        "gain_scale": 1.0,
-        "flow_force": 0.0,
         **common,
-        "friction.coulomb": float(f"{found.friction.coulomb:.6g}"),
-        "friction.static_ratio": float(f"{found.friction.static_ratio:.6g}"),
-        "friction.presliding": float(f"{found.presliding:.6g}"),
-        "disturbance.offset": max(-10.0, min(10.0, float(f"{found.offset:.6g}"))),
-        "lvdt.delay": float(f"{found.delay:.6g}"),
+        "friction.coulomb": float(f"{fitted.friction.coulomb:.6g}"),
+        "friction.static_ratio": float(f"{fitted.friction.static_ratio:.6g}"),
+        "friction.presliding": float(f"{fitted.presliding:.6g}"),
+        "disturbance.offset": max(-10.0, min(10.0, float(f"{fitted.offset:.6g}"))),
+        "lvdt.delay": float(f"{fitted.delay:.6g}"),
     }
-    return made
 
 
 def fitted(
@@ -119,7 +118,7 @@ def fitted(
     friction: Friction,
     offset: float,
     rest: Rest,
-    told: Progress = lambda done, total: None,
+    tell: Callable[[], None] = lambda: None,
     threads: int = 1,
     richer: Callable[[], Sequence[Fit]] = tuple,
 ) -> Plant:
@@ -127,85 +126,46 @@ def fitted(
 
     ``friction`` and ``offset`` [V] are first guesses. Where none explains the readings, the forms of
     ``richer`` are tried too. Where none of these does, valves with bristles are searched, on so many
-    ``threads``, with the same result. ``told`` gets the simulations that are over and about how many there
-    will be; what it raises ends the search.
+    ``threads``, with the same result. ``tell`` is called after each simulation; what it raises ends the
+    search.
     """
     ordered = sorted(fits, key=lambda f: f.order)
-    most = [EVALUATIONS * (1 + len(_parameters(fit, friction, offset, records[0].period))) for fit in ordered]
-    total, over, beside = float(sum(most) + magnet.EVALUATIONS * (2 + magnet.UNKNOWNS)), 0, 0
-
-    def counted() -> None:
-        nonlocal beside
-        beside += 1
-        told(min(over + beside, total), total)
-
-    tests = _Tests(records, [_weight(record, rest) for record in records], counted, threads)
-    best: Plant | None = None
-    for fit, share in zip(ordered, most, strict=True):
-        beside = 0
-        made = _near(tests, fit, friction, offset)
-        over += share
-        if best is None or made.error < BETTER * best.error:
-            best = made
-    assert best is not None
+    tests = _Tests(records, [_weight(record, rest) for record in records], tell, threads)
+    best = _best([_near(tests, fit, friction, offset) for fit in ordered])
     if best.error > EXPLAINED:
-        for fit in richer():
-            beside = 0
-            made = _near(tests, fit, friction, offset)
-            if made.error < BETTER * best.error:
-                best = made
-    if best.error > SUSPECT and friction.coulomb > 0.0:
-        beside = 0
-        made = _with_solenoids(tests, _third(fits, best), friction, offset)
-        over += magnet.EVALUATIONS * (2 + magnet.UNKNOWNS)
-        if made.error < SIMPLER * best.error:
-            best = _linear_if_as_good(tests, made)
+        best = _best([best, *(_near(tests, fit, friction, offset) for fit in richer())])
+    if friction.coulomb == 0.0:
+        return best
+    if best.error > SUSPECT:
+        solenoids = _with_solenoids(tests, _third(fits, best), friction, offset)
+        if solenoids.error < SIMPLER * best.error:
+            best = _linear_if_as_good(tests, solenoids)
     bare, shown = best, max(friction.coulomb, best.friction.coulomb)
+    slow = abs(ordered[0].model.denominator[-1]) ** (1.0 / ordered[0].order)
     for number, factor in enumerate(SPEEDS):
-        if best.error <= EXPLAINED or friction.coulomb == 0.0 or (number >= DOUBTED and best is bare):
+        if best.error <= EXPLAINED or (number >= DOUBTED and best is bare):
             break
-        beside = 0
-        each = TRIALS + EVALUATIONS * BRISTLE_UNKNOWNS
-        total = float(over + each)
-        speed = factor * abs(ordered[0].model.denominator[-1]) ** (1.0 / ordered[0].order)
-        made = _with_bristles(tests, bare, speed, HIDDEN * shown, SEED + number)
-        over += each
-        if made.error < min(NEARER * bare.error, best.error):
-            best = made
+        bristles = _with_bristles(tests, bare, factor * slow, HIDDEN * shown, SEED + number)
+        if bristles.error < min(NEARER * bare.error, best.error):
+            best = bristles
     return best
 
 
-class Stretch(NamedTuple):
-    """A part of a test."""
-
-    name: str
-    record: int  # number of the test
-    first: int
-    end: int
-
-
-def unexplained(
-    found: Plant, records: Sequence[Record], rest: Rest, stretches: Sequence[Stretch]
-) -> list[tuple[str, float]]:
-    """Parts of the tests that ``found`` misses by more than EXPLAINED times what is allowed, worst first."""
-    errors = [
-        _weight(record, rest) * (simulated(found, record) - np.nan_to_num(record.reading))
-        for record in records
-    ]
-    missed = [
-        (s.name, float(np.sqrt(np.mean(errors[s.record][s.first : s.end] ** 2))))
-        for s in stretches
-        if s.end > s.first
-    ]
-    return sorted((one for one in missed if one[1] > EXPLAINED), key=lambda one: -one[1])
+def _best(plants: Sequence[Plant]) -> Plant:
+    """The first of ``plants``, or a later one whose error is less by more than rounding."""
+    best, *others = plants
+    for plant in others:
+        if plant.error < BETTER * best.error:
+            best = plant
+    return best
 
 
-def simulated(found: Plant, record: Record) -> Floats:
+def simulated(plant: Plant, record: Record) -> Floats:
     """Position [V], n, of the valve under the voltages of ``record``.
 
     Each part begins where its spool stands first.
     """
-    valve_params = _params(found, record.period)
+    valve_params = _params(plant, record.period)
     return np.concatenate(
         [
             positions(valve_params, part.voltage, first_reading(part.reading, part.period))
@@ -214,20 +174,20 @@ def simulated(found: Plant, record: Record) -> Floats:
     )
 
 
-def _params(found: Plant, period: float) -> Any:
-    """``found`` as a simulated valve without noise and limits."""
-    if found.magnet is not None:
-        return magnet.solenoid_params(found.magnet, period)
+def _params(plant: Plant, period: float) -> Any:
+    """``plant`` as a simulated valve without noise and limits."""
+    if plant.magnet is not None:
+        return magnet.solenoid_params(plant.magnet, period)
     disturbance = valve.FREE._replace(
-        coulomb=found.friction.coulomb,
-        static_ratio=found.friction.static_ratio,
+        coulomb=plant.friction.coulomb,
+        static_ratio=plant.friction.static_ratio,
         stribeck_velocity=FREE_VELOCITY,
         velocity_scale=SCALE,
-        presliding=found.presliding,
-        offset=found.offset,
+        presliding=plant.presliding,
+        offset=plant.offset,
     )
-    lvdt = IDEAL._replace(delay=found.delay / period)
-    return valve.design(found.model, period, 1e6, 1.0, disturbance, lvdt)
+    lvdt = IDEAL._replace(delay=plant.delay / period)
+    return valve.design(plant.model, period, 1e6, 1.0, disturbance, lvdt)
 
 
 def first_reading(reading: Floats, period: float) -> float | None:
@@ -341,7 +301,7 @@ class _Tests(NamedTuple):
 
     records: Sequence[Record]
     weights: Sequence[Floats]  # of their samples
-    counted: Callable[[], None]  # called after each simulation of a search
+    tell: Callable[[], None]  # called after each simulation of a search
     threads: int
 
     @property
@@ -356,8 +316,8 @@ class _Tests(NamedTuple):
                 np.where(w > 0.0, w * (simulated(plant, r) - np.nan_to_num(r.reading)), 0.0)
                 for r, w in zip(self.records, self.weights, strict=True)
             ]
-        found: Floats = np.clip(np.nan_to_num(np.concatenate(parts), nan=1e3), -1e3, 1e3)
-        return found
+        errors: Floats = np.clip(np.nan_to_num(np.concatenate(parts), nan=1e3), -1e3, 1e3)
+        return errors
 
     def judged(self, plant: Plant) -> Plant:
         """``plant`` with its error."""
@@ -374,7 +334,7 @@ def _refined(tests: _Tests, form: _Form, begin: Floats) -> Plant:
     """The valve near ``begin`` whose error is least."""
 
     def residual(x: Floats) -> Floats:
-        tests.counted()
+        tests.tell()
         return tests.errors(form.plant(x))
 
     done = scipy.optimize.least_squares(
@@ -396,26 +356,26 @@ def _third(fits: Sequence[Fit], best: Plant) -> Fit:
 def _with_solenoids(tests: _Tests, begin: Fit, friction: Friction, offset: float) -> Plant:
     """The valve with solenoids near the fit ``begin`` whose error is least."""
 
-    def plant(found: Magnet) -> Plant:
-        level = Friction(found.coulomb, found.static_ratio)
-        return Plant(found.model, level, found.offset, found.delay, math.inf, found.presliding, found)
+    def plant(m: Magnet) -> Plant:
+        level = Friction(m.coulomb, m.static_ratio)
+        return Plant(m.model, level, m.offset, m.delay, math.inf, m.presliding, m)
 
-    made = magnet.refined(
-        magnet.begun(begin.model, friction, -offset, begin.delay), tests.period,
-        lambda found: tests.errors(plant(found)), tests.counted, tests.threads,
+    nearest = magnet.refined(
+        magnet.first_guess(begin.model, friction, -offset, begin.delay), tests.period,
+        lambda m: tests.errors(plant(m)), tests.tell, tests.threads,
     )  # fmt: skip
-    return tests.judged(plant(made))
+    return tests.judged(plant(nearest))
 
 
-def _linear_if_as_good(tests: _Tests, made: Plant) -> Plant:
-    """The linear valve with the friction of a valve with solenoids, if it explains the readings as well."""
-    assert made.magnet is not None
-    simpler = magnet.without_solenoids(made.magnet)
+def _linear_if_as_good(tests: _Tests, solenoids: Plant) -> Plant:
+    """A linear valve with the friction of that with ``solenoids``, if it explains the readings as well."""
+    assert solenoids.magnet is not None
+    simpler = magnet.without_solenoids(solenoids.magnet)
     if simpler is None:
-        return made
+        return solenoids
     model, delay = simpler
-    linear = tests.judged(made._replace(model=model, delay=delay, magnet=None))
-    return linear if linear.error <= AS_GOOD * made.error else made
+    linear = tests.judged(solenoids._replace(model=model, delay=delay, magnet=None))
+    return linear if linear.error <= AS_GOOD * solenoids.error else solenoids
 
 
 def _with_bristles(tests: _Tests, best: Plant, speed: float, friction: float, seed: int) -> Plant:
@@ -460,9 +420,9 @@ def _with_bristles(tests: _Tests, best: Plant, speed: float, friction: float, se
         while not strategy.stop():
             asked = strategy.ask()
             costs = []
-            for found in pool.map(cost, asked):
-                tests.counted()
-                costs.append(found)
+            for one in pool.map(cost, asked):
+                tests.tell()
+                costs.append(one)
             strategy.tell(asked, costs)
     return _refined(tests, form, np.clip(strategy.result.xbest, lower, upper))
 
@@ -475,7 +435,7 @@ def _fastest(period: float) -> float:
 def _parameters(fit: Fit, friction: Friction, offset: float, period: float) -> Floats:
     """Unknowns of a search that begins at ``fit``, without bristles."""
     fitted_roots = np.roots(fit.model.denominator)
-    factor = np.minimum(1.0, BEGUN * _fastest(period) / np.abs(fitted_roots))
+    factor = np.minimum(1.0, FIRST_POLE * _fastest(period) / np.abs(fitted_roots))
     roots = sorted(factor * fitted_roots, key=lambda root: (abs(root), root.imag))
     real = [root for root in roots if root.imag == 0.0]
     single = real.pop().real if fit.order % 2 else None  # the fastest real pole stands alone

@@ -68,14 +68,16 @@ class _Form(NamedTuple):
     scale: float  # of a unit of the search
     certain: float  # largest bound that counts as determined
     margin: float  # that the box has beyond what was found, for another day
+    least: float  # bounds of the search
+    most: float
 
 
 FORMS = (
-    _Form("gain", "-", 0.1, 0.1, 0.05),
-    _Form("speed", "-", 0.1, 0.1, 0.05),
-    _Form("disturbance.offset", "V", 0.1, 0.05, 0.1),
-    _Form("friction.coulomb", "V", 0.1, 0.05, 0.1),
-    _Form("lvdt.delay", "s", 0.001, 0.0005, 0.00025),
+    _Form("gain", "-", 0.1, 0.1, 0.05, 0.2, 5.0),
+    _Form("speed", "-", 0.1, 0.1, 0.05, 0.2, 5.0),
+    _Form("disturbance.offset", "V", 0.1, 0.05, 0.1, -9.0, 9.0),
+    _Form("friction.coulomb", "V", 0.1, 0.05, 0.1, 0.0, 9.0),
+    _Form("lvdt.delay", "s", 0.001, 0.0005, 0.00025, 0.0, 0.02),
 )
 BEFORE_COIL = "solenoid.dead_time"  # of the actuator
 WHOLE = "dead_time"  # name of that of actuator and sensor together
@@ -126,8 +128,8 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedV
                 values,
                 {"lvdt.noise": seen.noise, "lvdt.resolution": seen.resolution},
             )
-            told = [_named(one, base) for one in (*found, *unknown)]
-            return RecordedValve(values, told, residual, noise, notes)
+            quantities = [_named(one, base) for one in (*found, *unknown)]
+            return RecordedValve(values, quantities, residual, noise, notes)
         unknown.append(found[worst]._replace(value=begin[found[worst].name]))
         del free[worst]
     raise ParameterError(
@@ -221,15 +223,8 @@ def _search(
         rest: Floats = np.clip(np.nan_to_num(position - reading, nan=1e3)[usable], -1e3, 1e3)
         return rest
 
-    low, high = [], []
-    for form in free:
-        least, most = {"gain": (0.2, 5.0), "speed": (0.2, 5.0)}.get(form.name, (0.0, 9.0))
-        if form.name == "disturbance.offset":
-            least = -9.0
-        if form.name == "lvdt.delay":
-            most = 0.02
-        low.append(1.0 + (least - begin[form.name]) / form.scale)
-        high.append(1.0 + (most - begin[form.name]) / form.scale)
+    low = [1.0 + (form.least - begin[form.name]) / form.scale for form in free]
+    high = [1.0 + (form.most - begin[form.name]) / form.scale for form in free]
     start = np.clip(np.ones(len(free)), np.array(low) + 0.02, np.array(high) - 0.02)
     rough = _has_coil(base)
     if rough and free[-1].name == "lvdt.delay":
@@ -282,16 +277,20 @@ def _most_motion(voltage: Floats, reading: Floats, period: float) -> tuple[Float
     length = round(LONGEST / period)
     if len(voltage) <= length:
         return voltage, reading, []
-    block = max(1, round(BLOCK / period))
-    means = np.nan_to_num(voltage)[: len(voltage) // block * block].reshape(-1, block).mean(axis=1)
-    total = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(means, prepend=means[0])))])
-    count = length // block
-    first = block * int(np.argmax(total[count:] - total[:-count]))
+    first = _liveliest(np.nan_to_num(voltage), length, max(1, round(BLOCK / period)))
     note = (
         f"{LONGEST:g} s from {first * period:.1f} s on, in which the voltage moves most, stand for a "
         f"recording of {len(voltage) * period:.0f} s"
     )
     return voltage[first : first + length], reading[first : first + length], [note]
+
+
+def _liveliest(signal: Floats, length: int, block: int = 1) -> int:
+    """First sample of the ``length`` samples in which the means of blocks of ``signal`` move most."""
+    means = signal[: len(signal) // block * block].reshape(-1, block).mean(axis=1)
+    total = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(means, prepend=means[0])))])
+    count = length // block
+    return block * int(np.argmax(total[count:] - total[:-count]))
 
 
 def motion(command: Floats, period: float, limit: float, longest: float = 8.0) -> Floats:
@@ -303,9 +302,8 @@ def motion(command: Floats, period: float, limit: float, longest: float = 8.0) -
     filled = np.array([saturate(float(v), limit) for v in filled])
     length = round(longest / period)
     if len(filled) > length:
-        total = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(filled, prepend=filled[0])))])
-        first = int(np.argmax(total[length:] - total[:-length]))
+        first = _liveliest(filled, length)
         filled = filled[first : first + length]
     ramp = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, max(2, round(0.5 / period))))
-    made: Floats = np.concatenate([ramp * filled[0], filled])
-    return made
+    gentle: Floats = np.concatenate([ramp * filled[0], filled])
+    return gentle

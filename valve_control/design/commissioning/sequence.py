@@ -10,7 +10,7 @@ process.
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -18,26 +18,17 @@ import numpy as np
 
 from valve_control import interrupts, priority
 from valve_control.control.analysis.timing import Spread, spread
-from valve_control.design.commissioning import backup, courses, gains, model, plant, small_signal, statics
-from valve_control.design.commissioning.bench import (
-    Begun,
-    Bench,
-    Course,
-    Fault,
-    Pause,
-    Record,
-    Swings,
-    joined,
-)
+from valve_control.design.commissioning import courses, gains, model, plant, small_signal, statics
+from valve_control.design.commissioning.bench import Bench, Course, Fault, Mark, Pause, Record, Swings, joined
 from valve_control.design.commissioning.gains import TunedGains, Verification, VerifyingMotion
 from valve_control.design.commissioning.plan import Plan, limiting
 from valve_control.design.commissioning.plant import Plant
-from valve_control.design.commissioning.statics import Friction, Rest, Static
+from valve_control.design.commissioning.statics import Rest, Static
 from valve_control.design.identification import dead_time, lvdt
 from valve_control.design.identification.response import Response
 from valve_control.design.tuning import tuner, verification
 from valve_control.design.tuning.tuner import Tuned
-from valve_control.parameter import ParameterError, Values, number
+from valve_control.parameter import ParameterError, Value, Values, number
 
 SPRING = 0.5  # s  in which the spring centres the spool
 STILL, NOISE = 2.0, 2.0  # s and windows of readings that tell the noise: at rest, the larger of both
@@ -56,16 +47,15 @@ SAME = (
 )  # fmt: skip
 PID = "pid"  # that is tuned beside another law
 QUIETER = ((1.0, "again"), (0.5, "once more"))  # power of what is too loud, by which the limit is lowered
-NAMED = 3  # parts of the tests that a note names as not explained
-# Of the step "model", in percent, what is done when the fits of the response are, and when the valve is.
-RESPONSE, VALVE, WHOLE = 25.0, 95.0, 100.0
+SIMULATIONS = 600.0  # about, of the step "model"
 REST, SLOW, SINE = "noise at rest", "slow triangle", "stepped sine"  # the tests
 SEARCH = "search"  # during which pauses are counted
+Courses = Callable[[int, Mark], Course]  # the rest of a step from a stretch on, from rest
 T = TypeVar("T")
 
 
 class Tests(NamedTuple):
-    """What the tests of a valve told, for any law."""
+    """What the tests of a valve show, for any law."""
 
     rest: Rest
     slow: Record
@@ -76,17 +66,11 @@ class Tests(NamedTuple):
 
 
 class Result(NamedTuple):
-    """All that a commissioning found, as far as it came."""
+    """A whole commissioning."""
 
     plan: Plan
     before: Values
-    rest: Rest
-    slow: Record
-    static: Static
-    friction: Friction
-    sine: Record
-    response: Response
-    plant: Plant
+    tests: Tests
     tuned: Tuned
     applied: Values  # what is different from before, for good
     verification: Verification
@@ -94,14 +78,6 @@ class Result(NamedTuple):
     seconds: dict[str, float]  # by step
     pauses: dict[str, int]  # by step
     way: Spread  # s  from a reading to its voltage in the tests; NaN: not known
-
-    @property
-    def tests(self) -> Tests:
-        """What the tests told, with which another law may be commissioned."""
-        return Tests(self.rest, self.slow, self.static, self.sine, self.response, self.plant)
-
-
-AS_BEFORE = "all its parameters are as before"
 
 
 class Refused(RuntimeError):
@@ -120,54 +96,60 @@ class Steps(Protocol):
     def tested(self, name: str, record: Record) -> None:
         """The test ``name`` is whole."""
 
-    def found(self, valve: Values) -> None:
+    def fitted(self, valve: Values) -> None:
         """The valve as parameters of the simulated one, as soon as it is known."""
 
     def refused(self, changes: Values, reason: str) -> None:
         """Gains that are not accepted, and why."""
 
 
-@contextmanager
-def reversible(bench: Bench, before: Values, said: Callable[[str], None]) -> Iterator[None]:
-    """At whatever ends the block: 0 V at once, then the parameters ``before``, and active if it was.
+class Reversal:
+    """What became of the parameters from before when a commissioning ended early."""
 
-    ``said`` gets what became of it.
-    """
-    active = bench.active
+    def __init__(self) -> None:
+        self.restored = False  # all are in force again
+        self.report: list[str] = []  # for the user
+
+
+@contextmanager
+def reversible(bench: Bench, before: Values, reversal: Reversal) -> Iterator[None]:
+    """At whatever ends the block: 0 V at once, then the parameters ``before``, and active if it was."""
+    active, report = bench.active, reversal.report.append
     try:
         yield
     except BaseException:
         with interrupts.held_back():
             try:
                 bench.off()
-                said("the controller was switched to 0 V")
+                report("the controller was switched to 0 V")
             except Fault as fault:
-                said(f"the controller could not be switched off: {fault}")
+                report(f"the controller could not be switched off: {fault}")
             restore(bench, before)
-            said(AS_BEFORE)
+            reversal.restored = True
+            report("all its parameters are as before")
             if active:
                 try:
                     bench.on()
-                    said("it is active, as before")
+                    report("it is active, as before")
                 except Fault as fault:
-                    said(f"it was activated again, as before: {fault}")
+                    report(f"it was activated again, as before: {fault}")
         raise
 
 
-def restore(bench: Bench, before: Values) -> int:
-    """Set all parameters ``before``; returns how many differed. Raises Fault if they are not back."""
-    return _bring_to(bench, before, "set back")
-
-
-def _bring_to(bench: Bench, wanted: Values, done: str = "set") -> int:
+def restore(bench: Bench, wanted: Values) -> int:
     """Set what differs from all the parameters ``wanted``; returns how many. Raises Fault."""
-    changes = backup.differences(bench.values(), wanted)
+    changes = differences(bench.values(), wanted)
     if changes:
         bench.apply(changes)
-        left = backup.differences(bench.values(), wanted)
+        left = differences(bench.values(), wanted)
         if left:
-            raise Fault(f"{', '.join(left)} could not be {done}")
+            raise Fault(f"{', '.join(left)} could not be set")
     return len(changes)
+
+
+def differences(present: Values, wanted: Values) -> dict[str, Value]:
+    """What has to be set so that ``present`` becomes ``wanted``."""
+    return {name: value for name, value in wanted.items() if present.get(name) != value}
 
 
 def run(
@@ -207,10 +189,10 @@ class _Commissioning:
         self._limits, self._period = plan.limits, number(before, "sample_period")
         self._seconds: dict[str, float] = {}
         self._still = max(STILL, NOISE * lvdt.WINDOW * self._period)  # s
-        self._percent = 0.0  # of the step "model", that were told
+        self._simulations = -1.0  # of the step "model"
 
     def run(self, tests: Tests | None) -> Result:
-        period, before = self._period, self._before
+        before, u_max = self._before, number(self._before, "u_max")
         self._ask(
             f"0 V; the controller gets its limits (±{self._limits.voltage:g} V, reading within "
             f"±{self._limits.travel:g} V) and the law open_loop; then {self._still:g} s at 0 V"
@@ -219,46 +201,35 @@ class _Commissioning:
         self._open_loop()
         if tests is None:
             tests = self._tested()
-        rest, found = tests.rest, tests.plant
         with self._timed("model"):
-            self._steps.found(
-                plant.values(found, rest, period, number(before, "u_max"), self._plan.sensor_delay)
-            )
-            known = model.Known(
-                found, rest, period, number(before, "u_max"), self._plan.law, self._plan.sensor_delay
-            )
-            self._modelled(WHOLE)
-        made, verified, notes = self._gains(found, known, rest)
+            sensor = self._plan.sensor_delay
+            self._steps.fitted(plant.values(tests.plant, tests.rest, self._period, u_max, sensor))
+            known = model.Known(tests.plant, tests.rest, self._period, u_max, self._plan.law, sensor)
+            self._look()
+            self._steps.progress("model", SIMULATIONS, SIMULATIONS)
+        chosen, verified, refusals = self._accepted(tests, known)
         self._ask("the new gains stay; voltage and travel get their limits from before back")
-        final = {**before, **made.chosen}
-        _bring_to(self._bench, final)
-        self._bench.watch(
-            self._limits._replace(voltage=number(before, "u_max"), travel=number(before, "lvdt.limit"))
-        )
+        final = {**before, **chosen.changes}
+        restore(self._bench, final)
+        self._bench.watch(self._limits._replace(voltage=u_max, travel=number(before, "lvdt.limit")))
         answers = [record.latency for record in (tests.slow, tests.sine) if record is not None]
         way = spread(np.concatenate([np.empty(0), *answers]))
         notes = [
             *tests.response.notes,
-            *_unexplained(found, tests.slow, tests.sine, self._planned(tests.rest, tests.static), rest),
+            *_about_plant(tests.plant),
             *known.notes,
-            *notes,
-            *_ended(verified),
+            *refusals,
+            *_about_run(verified),
             *dead_time.way_notes(way),
-            *_paused(self._pauses),
+            *_about_pauses(self._pauses),
+            *_about_chatter(self._plan, chosen.tuned, tests.rest),
         ]
-        notes += _louder(self._plan, made.tuned, rest)
         return Result(
             plan=self._plan,
             before=before,
-            rest=rest,
-            slow=tests.slow,
-            static=tests.static,
-            friction=found.friction,
-            sine=tests.sine,
-            response=tests.response,
-            plant=found,
-            tuned=made.tuned,
-            applied=backup.differences(before, final),
+            tests=tests,
+            tuned=chosen.tuned,
+            applied=differences(before, final),
             verification=verified,
             notes=notes,
             seconds=self._seconds,
@@ -268,191 +239,170 @@ class _Commissioning:
 
     def _tested(self) -> Tests:
         """Noise, friction and response of the valve in open loop, and the plant that is fitted to them."""
-        still = self._test(
-            REST,
-            lambda first, begun: courses.rest(self._still, begun, first),
-            lambda first, begun: self._still - first * courses.PIECE,
-        )
+        limits, period = self._limits, self._period
+        still = self._test(REST, lambda first, mark: courses.rest(self._still, mark, first), self._still)
         rest = statics.at_rest(still)
-        slow = self._triangle()
-        static = statics.slow(slow, rest, self._limits)
-        planned = self._planned(rest, static)
-        sine = self._sine(planned)
-        with self._timed("model"):
-            self._modelled(0.0)
-            response, fits, friction = self._background(
-                lambda told: small_signal.linear(
-                    sine, planned, static, rest, lambda done, total: told(RESPONSE * done / total)
-                ),
-                self._modelled,
-            )
-            found = self._background(
-                lambda told: plant.fitted(
-                    [slow, sine], fits, friction, static.offset, rest,
-                    lambda done, total: told(RESPONSE + (VALVE - RESPONSE) * done / total),
-                    self._plan.threads, lambda: small_signal.richer(response),
-                ),
-                self._modelled,
-            )  # fmt: skip
-            self._modelled(VALVE)
-        return Tests(rest, slow, static, sine, response, found)
-
-    def _planned(self, rest: Rest, static: Static) -> small_signal.Plan:
-        return small_signal.plan(self._limits, rest, static, self._period)
-
-    def _open_loop(self) -> None:
-        """From inactive to 0 V: open loop within the limits, the other parameters as before."""
-        _bring_to(self._bench, {**self._before, **limiting(self._before, self._limits)})
-        self._at_rest(SPRING)
-        self._bench.apply({"lvdt.limit": self._limits.travel})
-
-    def _triangle(self) -> Record:
-        limits, rate = self._limits, RATE * self._limits.voltage
-        return self._test(
+        rate = RATE * limits.voltage
+        slow = self._test(
             SLOW,
-            lambda first, begun: courses.triangle(limits, rate, TURNS, begun, self._period, first),
-            lambda first, turned: courses.triangle_time(limits, rate, TURNS - max(0, first - 1), turned),
+            lambda first, mark: courses.triangle(limits, rate, TURNS, mark, period, first),
+            2.0 * TURNS * limits.voltage / rate,
             f"a slow triangle of the voltage up to ±{limits.voltage:g} V, turned at {courses.REACH:.0%} of "
             "the travel",
         )
-
-    def _sine(self, planned: small_signal.Plan) -> Record:
-        length = planned.steps[-1].end
-        return self._test(
+        static = statics.slow(slow, rest)
+        planned = small_signal.plan(limits, static, period)
+        first_step, last_step = planned.steps[0], planned.steps[-1]
+        sine = self._test(
             SINE,
-            lambda first, begun: courses.stepped_sine(
-                self._limits, planned.steps, planned.amplitude, planned.offset, begun, self._period, first
+            lambda first, mark: courses.stepped_sine(
+                limits, planned.steps, planned.amplitude, planned.offset, mark, period, first
             ),
-            lambda first, begun: length - planned.steps[first].start,
-            f"{length:.0f} s of sines of {planned.amplitude:.2g} V from {planned.steps[0].frequency:g} to "
-            f"{planned.steps[-1].frequency:g} Hz",
+            last_step.end,
+            f"{last_step.end:.0f} s of sines of {planned.amplitude:.2g} V from {first_step.frequency:g} to "
+            f"{last_step.frequency:g} Hz",
         )
+        with self._timed("model"):
+            self._modelled()
+            response, fits, friction = self._background(
+                lambda tell: small_signal.linear(sine, planned, static, rest, tell), self._modelled
+            )
+            fitted = self._background(
+                lambda tell: plant.fitted(
+                    [slow, sine], fits, friction, static.offset, rest, tell, self._plan.threads,
+                    lambda: small_signal.richer(response),
+                ),
+                self._modelled,
+            )  # fmt: skip
+            self._modelled()
+        return Tests(rest, slow, static, sine, response, fitted)
 
-    def _gains(
-        self, found: Plant, known: model.Known, rest: Rest
-    ) -> tuple[TunedGains, Verification, list[str]]:
+    def _open_loop(self) -> None:
+        """From inactive to 0 V: open loop within the limits, the other parameters as before."""
+        restore(self._bench, {**self._before, **limiting(self._before, self._limits)})
+        self._at_rest(SPRING)
+        self._bench.apply({"lvdt.limit": self._limits.travel})
+
+    def _accepted(self, tests: Tests, known: model.Known) -> tuple[TunedGains, Verification, list[str]]:
         """Gains that hold, also on the valve, and notes on those that did not. Raises ParameterError."""
         refusals: list[str] = []
-        boxes = BOXES if found.error <= plant.EXPLAINED else DOUBTED
-        for wider in boxes:
-            several, missing = self._tuned(found, known, rest, wider, refusals)
-            texts: list[str] = []
-            for made in several:
-                if texts and wider != boxes[-1] and not gains.rivals(made, several[0]):
+        doubted = tests.plant.error > plant.EXPLAINED
+        for wider in (boxes := DOUBTED if doubted else BOXES):
+            several, missing = self._tuned(tests, known, wider, refusals)
+            earlier, last = len(refusals), wider == boxes[-1]
+            for candidate in several:
+                if len(refusals) > earlier and not last and not gains.rivals(candidate, several[0]):
                     break  # the law deserves its second search first
-                reasons = made.tuned.chosen.verified.reasons
+                reasons = candidate.tuned.chosen.verified.reasons
                 if not reasons:
-                    verified, reasons = self._verified(made, found.error > plant.EXPLAINED)
+                    verified, reasons = self._verified(candidate, doubted)
                     if verified is not None and not reasons:
-                        told = [_taken_at_last(wider, text) for text in refusals]
-                        told += [_taken_instead(made.tuned.law, text) for text in texts]
-                        told += [made.note] if made.note else []
-                        return made, verified, [*missing, *told, *gains.beside(several)]
+                        notes = [f"gains were not accepted: {refusal}" for refusal in refusals]
+                        notes += [candidate.note] if candidate.note else []
+                        return candidate, verified, [*missing, *notes, *gains.beside(several)]
                     self._bench.off()
-                    if wider != boxes[-1] or made is not several[-1]:
+                    if not last or candidate is not several[-1]:
                         self._open_loop()
-                texts.append("; ".join(reasons))
-                self._steps.refused(made.chosen, texts[-1])
-            named = zip(several, texts, strict=False)
-            refusals.append("; ".join(_of(self._plan.law, made, text) for made, text in named))
-        raise ParameterError(_not_accepted(refusals, boxes[-1]))
+                reason = "; ".join(reasons)
+                self._steps.refused(candidate.changes, reason)
+                refusals.append(f"{candidate.tuned.law} for a box {wider:g} times as wide: {reason}")
+        raise ParameterError(f"the gains are not accepted: {'; '.join(refusals)}")
 
     def _tuned(
-        self, found: Plant, known: model.Known, rest: Rest, wider: float, refusals: list[str]
+        self, tests: Tests, known: model.Known, wider: float, refusals: list[str]
     ) -> tuple[list[TunedGains], list[str]]:
         """Gains of the law and of a PID beside it, the better first, and a sentence about each that failed.
 
         Raises ParameterError, where both failed.
         """
-        tried = f"{self._plan.budget} sets of gains of {self._plan.law} are tried in simulation"
+        text = f"{self._plan.budget} sets of gains of {self._plan.law} are tried in simulation"
         if refusals:
-            tried = (
-                f"these gains are not accepted ({refusals[-1]}); {tried}, for valves {wider:g} times as far "
-                "from the model"
-            )
-        self._ask(f"{tried}; the valve stays at 0 V")
-        made: list[TunedGains] = []
+            text = f"gains are not accepted ({refusals[-1]}); {text}, for a box {wider:g} times as wide"
+        self._ask(f"{text}; the valve stays at 0 V")
+        several: list[TunedGains] = []
         failed: dict[str, ParameterError] = {}
         for law in dict.fromkeys((self._plan.law, *([] if self._plan.alone else [PID]))):
             with self._timed("tuning"):
                 try:
-                    made.append(self._searched(law, found, known, rest, wider))
+                    several.append(self._searched(law, tests, known, wider))
                 except ParameterError as error:
                     failed[law] = error
-        if not made:
+        if not several:
             first = failed[self._plan.law]
             if not refusals:
                 raise first
-            raise ParameterError(_not_accepted([*refusals, str(first)], wider)) from first
+            raise ParameterError(f"the gains are not accepted: {'; '.join(refusals)}; {first}") from first
         missing = [f"{law} has no gains: {error}" for law, error in failed.items()]
-        return sorted(made, key=gains.promised), missing
+        return sorted(several, key=gains.promised), missing
 
-    def _searched(self, law: str, found: Plant, known: model.Known, rest: Rest, wider: float) -> TunedGains:
+    def _searched(self, law: str, tests: Tests, known: model.Known, wider: float) -> TunedGains:
         """Gains of ``law``, of a quieter search if those of the first are loud. Raises ParameterError."""
         step = "tuning" if law == self._plan.law else f"tuning {law}"
 
-        def searched(plan: Plan, step: str) -> TunedGains:
-            def told(done: float, total: float) -> None:
+        def search(plan: Plan, step: str) -> TunedGains:
+            def tell(done: float, total: float) -> None:
                 self._look()
                 self._steps.progress(step, done, total)
 
-            return self._background(
-                lambda told: gains.tuned(plan, self._before, found, known, rest, wider, told), told
-            )
+            def work(tell: Callable[..., None]) -> TunedGains:
+                task = gains.task(plan, self._before, tests.plant, known, tests.rest, wider)
+                return gains.tuned(plan, task, tests.plant, tell)
+
+            return self._background(work, tell)
 
         plan = self._plan._replace(law=law)
-        made = searched(plan, step)
-        if made.tuned.chosen.verified.reasons:
-            return made
-        loud = gains.loudness(plan, self._before, made)
-        limit = plan.chatter if made.tuned.chatter is None else made.tuned.chatter
+        usual = search(plan, step)
+        if usual.tuned.chosen.verified.reasons:
+            return usual
+        loud = gains.loudness(plan, self._before, usual)
+        limit = plan.chatter if usual.tuned.chatter is None else usual.tuned.chatter
         if not gains.LOUD * limit < loud < math.inf:
-            return made
+            return usual
         too_loud = gains.TOO_LOUD * limit
         tried: list[tuple[float, TunedGains]] = []
         for share, name in QUIETER if loud > too_loud else QUIETER[:1]:
             lower = plan._replace(chatter=limit * (limit / loud) ** share, firm=True)
             try:
-                again = searched(lower, f"{step} {name}")
+                again = search(lower, f"{step} {name}")
             except ParameterError:  # the limit cannot be that low
                 continue
             quiet = gains.loudness(plan, self._before, again)
             if again.tuned.chosen.verified.reasons or quiet >= loud:
                 continue
-            note = (
-                f"a quieter search of {law} brought c_u of the simulated verification run from {loud:.3g} to "
+            again = again._replace(
+                note=f"a quieter search of {law} brought c_u of the simulated verification run from "
+                f"{loud:.3g} to {quiet:.3g}"
             )
-            again = again._replace(note=f"{note}{quiet:.3g}")
-            if gains.rivals(again, made) and quiet <= too_loud:
+            if gains.rivals(again, usual) and quiet <= too_loud:
                 return again
             tried.append((quiet, again))
-        return gains.quieter(made, loud, tried, too_loud)
+        return gains.quieter(usual, loud, tried, too_loud)
 
-    def _verified(self, made: TunedGains, doubted: bool) -> tuple[Verification | None, list[str]]:
+    def _verified(self, candidate: TunedGains, doubted: bool) -> tuple[Verification | None, list[str]]:
         """The verification run, None if it ended early, and why the gains are not accepted.
 
         ``doubted``: the model does not explain the readings, so that the parameters from before are tried
         whatever the simulation says of them.
         """
-        motion = gains.verifying_motion(made, self._period)
+        motion = gains.verifying_motion(candidate, self._period)
         length = len(motion.wanted) * self._period
         self._ask(
-            f"the new gains of {made.tuned.law} are set, and the valve moves for {length:.0f} s in closed "
-            "loop"
+            f"the new gains of {candidate.tuned.law} are set, and the valve moves for {length:.0f} s in "
+            "closed loop"
         )
         lead = {"reshaping.lead": self._before["reshaping.lead"]}  # of a law that chooses none
-        self._bench.apply({**lead, **made.chosen, "command_limit": self._limits.travel})
+        self._bench.apply({**lead, **candidate.changes, "command_limit": self._limits.travel})
         try:
             record = self._moved("verification", motion)
         except Swings as fault:
             return None, [str(fault)]
-        verified = gains.judged(self._plan, self._before, made, motion, record)
+        verified = gains.judged(self._plan, self._before, candidate, motion, record)
         if not verified.reasons and gains.contends(self._plan, verified, doubted):
             verified = self._against_before(verified, motion)
         return verified, verified.reasons
 
-    def _against_before(self, made: Verification, motion: VerifyingMotion) -> Verification:
-        """``made`` judged by the same run with the parameters from before.
+    def _against_before(self, verified: Verification, motion: VerifyingMotion) -> Verification:
+        """``verified`` judged by the same run with the parameters from before.
 
         Parameters that swing there, or do anything else that ends a run, are no rival. A fault that has
         another reason than them goes on with the new gains, and is raised then.
@@ -462,75 +412,77 @@ class _Commissioning:
             f"the parameters from before are set for {length:.0f} s of the same motion, because they may be "
             "as good as the new gains"
         )
-        kept = self._bench.values()
-        limits = {name: kept[name] for name in SAME}
-        _bring_to(self._bench, {**self._before, **limits})
+        present = self._bench.values()
+        restore(self._bench, {**self._before, **{name: present[name] for name in SAME}})
         try:
             record = self._moved("verification of before", motion)
         except Fault as fault:
             self._bench.off()
-            _bring_to(self._bench, kept)
+            restore(self._bench, present)
             self._bench.apply({"lvdt.limit": self._before["lvdt.limit"]})
             self._at_rest(STILL)
-            self._bench.apply({"lvdt.limit": kept["lvdt.limit"]})
-            return made._replace(ended=str(fault))
-        _bring_to(self._bench, kept)
-        return gains.against(self._plan, made, record)
+            self._bench.apply({"lvdt.limit": present["lvdt.limit"]})
+            return verified._replace(ended=str(fault))
+        restore(self._bench, present)
+        return gains.against(self._plan, verified, record)
 
     def _moved(self, name: str, motion: VerifyingMotion) -> Record:
         """Record of the judged part of ``motion``."""
 
-        def course(first: int, begun: Begun) -> Course:
+        def course(first: int, mark: Mark) -> Course:
             rest = motion.since(first)
             return courses.motion(
-                rest.wanted, self._period, rest.stretches[1:], lambda number, at: begun(first + number, at)
+                rest.wanted, self._period, rest.stretches[1:], lambda number, at: mark(first + number, at)
             )
 
         return self._drive(
             name,
             course,
-            lambda first, begun: len(motion.since(first).wanted) * self._period,
+            len(motion.wanted) * self._period,
             lambda record, first, end: gains.judged_part(motion.since(first), record, end),
         )
 
-    def _test(
-        self,
-        name: str,
-        course: Callable[[int, Begun], Course],
-        about: Callable[[int, Sequence[float]], float],
-        text: str = "",
-    ) -> Record:
+    def _test(self, name: str, course: Courses, length: float, text: str = "") -> Record:
         """Record of the test ``name``, which is made unless there is one; ``text``: of the question."""
         if name not in self._records:
             if text:
                 self._ask(text)
-            self._records[name] = self._drive(name, course, about)
+            self._records[name] = self._drive(name, course, length)
         self._steps.tested(name, self._records[name])
         return self._records[name]
 
     def _drive(
         self,
         name: str,
-        course: Callable[[int, Begun], Course],
-        about: Callable[[int, Sequence[float]], float],
+        course: Courses,
+        length: float,
         chosen: Callable[[Record, int, int], Record] = lambda record, first, end: record.part(0, end),
     ) -> Record:
         """Record of the step ``name``, of which a stretch that a pause spoils is repeated.
 
-        ``course`` begins with a stretch, from rest; ``about``: how long [s] it takes from then on, by
-        the times [s] at which stretches have begun; ``chosen``: of the record of a course that began with a
+        ``length`` [s]: about how long it takes; ``chosen``: of the record of a course that began with a
         stretch, what counts of it until a sample. Raises Fault.
         """
         parts: list[Record] = []
+        marks: list[tuple[int, float]] = []  # stretches of a course and the times [s] at which they begin
         first, tries, over = 0, 0, 0.0
+
+        def mark(stretch: int, at: float) -> None:
+            marks.append((stretch, at))
+
+        def progress(done: float) -> None:
+            self._steps.progress(name, min(over + done, length), length)
+
         with self._timed(name):
             while True:
-                marks = [(first, 0.0)]
+                marks[:] = [(first, 0.0)]
                 try:
                     if tries:
                         self._bench.off()
                         self._at_rest(SPRING)
-                    record = self._driven(name, course, about, marks, over)
+                    record = self._bench.drive(course(first, mark), self._limits, progress)
+                    progress(math.inf)
+                    return joined([*parts, chosen(record, first, len(record.reading))])
                 except Pause as pause:
                     self._pauses[name] += 1
                     stretch, at = marks[-1]
@@ -541,31 +493,6 @@ class _Commissioning:
                         parts.append(chosen(pause.record, first, round(at / self._period)))
                         over += at
                     first = stretch
-                    continue
-                return joined([*parts, chosen(record, first, len(record.reading))])
-
-    def _driven(
-        self,
-        name: str,
-        course: Callable[[int, Begun], Course],
-        about: Callable[[int, Sequence[float]], float],
-        marks: list[tuple[int, float]],
-        over: float,
-    ) -> Record:
-        """Record of a course; ``marks`` has its first stretch and gets the others. Raises Fault.
-
-        ``over`` [s]: of the step before it.
-        """
-        first, _ = marks[0]
-
-        def progress(done: float) -> None:
-            total = over + about(first, [at for _, at in marks[1:]])
-            self._steps.progress(name, min(over + done, total), total)
-
-        begun = course(first, lambda stretch, at: marks.append((stretch, at)))
-        record = self._bench.drive(begun, self._limits, progress)
-        progress(math.inf)
-        return record
 
     def _at_rest(self, duration: float) -> None:
         """Let the controller work at 0 V for ``duration`` [s], whatever the travel. Raises Fault.
@@ -584,11 +511,11 @@ class _Commissioning:
                 if left == 0:
                     raise
 
-    def _background(self, work: Callable[[Callable[..., None]], T], told: Callable[..., None]) -> T:
-        """What ``work`` returns; over ROS it gives way to the loop. ``told`` gets its progress."""
+    def _background(self, work: Callable[[Callable[..., None]], T], tell: Callable[..., None]) -> T:
+        """What ``work`` returns; over ROS it gives way to the loop. ``tell`` gets its progress."""
         if self._plan.gives_way:
-            return priority.in_background(work, told)
-        return work(told)
+            return priority.in_background(work, tell)
+        return work(tell)
 
     def _look(self) -> None:
         """Look at what has come during a search at 0 V; a pause is counted and nothing else."""
@@ -603,11 +530,11 @@ class _Commissioning:
         if not self._steps.confirm(text):
             raise Refused("stopped by the user")
 
-    def _modelled(self, percent: float) -> None:
+    def _modelled(self) -> None:
+        """One more simulation or fit of the step "model" is over."""
         self._look()
-        # A search that is longer than it was expected to be takes nothing back.
-        self._percent = max(self._percent, percent)
-        self._steps.progress("model", self._percent, WHOLE)
+        self._simulations = min(SIMULATIONS, self._simulations + 1.0)
+        self._steps.progress("model", self._simulations, SIMULATIONS)
 
     @contextmanager
     def _timed(self, name: str) -> Iterator[None]:
@@ -619,83 +546,47 @@ class _Commissioning:
             self._seconds[name] = self._seconds.get(name, 0.0) + time.monotonic() - began
 
 
-def _not_accepted(refusals: list[str], wider: float) -> str:
-    """Why neither the first gains nor those for a box that is ``wider`` are accepted."""
-    if len(refusals) == 1:
-        return f"the gains are not accepted: {refusals[0]}"
-    return (
-        f"the gains are not accepted: {refusals[0]}; nor are those for valves {wider:g} times as far "
-        f"from the model: {refusals[1]}"
-    )
-
-
-def _of(law: str, made: TunedGains, text: str) -> str:
-    """``text`` about gains, with the name of another law than the one that is asked for."""
-    return text if made.tuned.law == law else f"{made.tuned.law}: {text}"
-
-
-def _taken_instead(law: str, refusal: str) -> str:
-    return f"other gains promised more and were not accepted ({refusal}); those of {law} are in force"
-
-
-def _taken_at_last(wider: float, refusal: str) -> str:
-    return (
-        f"the first gains were not accepted ({refusal}); those in force are for valves {wider:g} times as "
-        "far from the model"
-    )
-
-
-def _unexplained(
-    found: Plant, slow: Record, sine: Record, planned: small_signal.Plan, rest: Rest
-) -> list[str]:
-    """A sentence about what the model does not describe, and one about a spool that swings."""
+def _about_plant(fitted: Plant) -> list[str]:
+    """Sentences about readings that the model does not describe, and about one that is not linear."""
     notes = []
-    if found.error > plant.EXPLAINED:
-        parts = [plant.Stretch("the slow triangle", 0, 0, len(slow.reading))]
-        parts += [
-            plant.Stretch(f"the sine of {one.frequency:.3g} Hz", 1, one.first, one.end)
-            for one in small_signal.stretches(planned, sine)
-        ]
-        worst = plant.unexplained(found, [slow, sine], rest, parts)[:NAMED]
-        told = ", ".join(f"{name} by {error:.2g} times" for name, error in worst)
+    if fitted.error > plant.EXPLAINED:
         notes.append(
-            f"the model misses the readings by {found.error:.2g} times what noise and "
-            f"{plant.MODEL_ERROR:.0%} of the motion allow ({told}); models of second to fourth order with "
-            "friction, offset and dead time were tried, and a valve with solenoids: the gains are judged "
-            "by the running valve, and were "
-            f"sought for valves {DOUBTED[0]:g} or {DOUBTED[-1]:g} times as far from the model as usual"
+            f"the model misses the readings by {fitted.error:.2g} times what noise and "
+            f"{plant.MODEL_ERROR:.0%} of the motion allow: the gains are judged by the running valve, and "
+            f"were sought for boxes {DOUBTED[0]:g} or {DOUBTED[-1]:g} times as wide as usual"
         )
-    if found.magnet is not None:
-        m = found.magnet
+    if fitted.magnet is not None:
+        m = fitted.magnet
         notes.append(
             "a valve with solenoids describes the readings better than a linear one with friction: coil "
             f"{1e3 * m.coil:.2g} ms, hysteresis {m.hysteresis:.2g} V, gains of the sides "
             f"{m.positive:.3g} and {m.negative:.3g} times {m.gain:.3g} V/V, overlap {m.overlap:.2g} V"
         )
-    elif found.presliding > 0.0:
+    elif fitted.presliding > 0.0:
         notes.append(
             "a linear valve whose friction has bristles describes the readings, and none without them: "
-            f"presliding {1e3 * found.presliding:.2g} mV; such a spool may swing on its bristles"
+            f"presliding {1e3 * fitted.presliding:.2g} mV; such a spool may swing on its bristles"
         )
     return notes
 
 
-def _paused(pauses: Mapping[str, int]) -> list[str]:
-    """A sentence about pauses."""
+def _about_pauses(pauses: Mapping[str, int]) -> list[str]:
     if not pauses:
         return []
-    told = ", ".join(f"{name} {count}" for name, count in pauses.items())
-    return [f"readings, controller or host paused ({told}): the stretches of tests were repeated"]
+    counts = ", ".join(f"{name} {count}" for name, count in pauses.items())
+    return [f"readings, controller or host paused ({counts}): the stretches of tests were repeated"]
 
 
-def _ended(made: Verification) -> list[str]:
+def _about_run(verified: Verification) -> list[str]:
     """A sentence about parameters from before that misbehaved."""
-    if not made.ended:
+    if not verified.ended:
         return []
-    return [f"with the parameters from before the same motion was ended ({made.ended}): they are no rival"]
+    return [
+        f"with the parameters from before the same motion was ended ({verified.ended}): they are no rival"
+    ]
 
 
-def _louder(plan: Plan, tuned: Tuned, rest: Rest) -> list[str]:
+def _about_chatter(plan: Plan, tuned: Tuned, rest: Rest) -> list[str]:
     """A sentence about a limit of c_u that had to give way."""
     if tuned.chatter is None or tuned.chatter <= plan.chatter:
         return []
@@ -709,38 +600,39 @@ def _louder(plan: Plan, tuned: Tuned, rest: Rest) -> list[str]:
 
 def as_dict(result: Result) -> dict[str, Any]:
     """For JSON."""
-    made, found = result.verification, result.plant
+    verified, tests = result.verification, result.tests
+    valve, response = tests.plant, tests.response
     return {
         "limits": {"voltage": result.plan.limits.voltage, "travel": result.plan.limits.travel},
-        "rest": result.rest._asdict(),
-        "static": result.static._asdict(),
+        "rest": tests.rest._asdict(),
+        "static": tests.static._asdict(),
         "response": {
-            "frequency_hz": result.response.frequency,
-            "real": result.response.value.real,
-            "imaginary": result.response.value.imag,
-            "deviation": result.response.deviation,
-            "coherence": result.response.coherence,
+            "frequency_hz": response.frequency,
+            "real": response.value.real,
+            "imaginary": response.value.imag,
+            "deviation": response.deviation,
+            "coherence": response.coherence,
         },
         "valve": {
-            "numerator": list(found.model.numerator),
-            "denominator": list(found.model.denominator),
-            "static_gain": found.model.static_gain,
-            "delay_s": found.delay,
-            "offset": found.offset,
-            "friction": found.friction._asdict(),
-            "presliding": found.presliding,
-            "solenoids": None if found.magnet is None else found.magnet._asdict(),
-            "error": found.error,
+            "numerator": list(valve.model.numerator),
+            "denominator": list(valve.model.denominator),
+            "static_gain": valve.model.static_gain,
+            "delay_s": valve.delay,
+            "offset": valve.offset,
+            "friction": valve.friction._asdict(),
+            "presliding": valve.presliding,
+            "solenoids": None if valve.magnet is None else valve.magnet._asdict(),
+            "error": valve.error,
         },
         "chatter_limit": {"wanted": result.plan.chatter, "kept": result.tuned.chatter},
         "law": result.tuned.law,
         "tuned": tuner.as_dict(result.tuned),
         "applied": result.applied,
         "verification": {
-            "measured": made.measured._asdict(),
-            "simulated": made.expected._asdict(),
-            "measured_before": None if made.before is None else made.before._asdict(),
-            "simulated_before": None if made.former is None else made.former._asdict(),
+            "measured": verified.measured._asdict(),
+            "simulated": verified.expected._asdict(),
+            "measured_before": None if verified.before is None else verified.before._asdict(),
+            "simulated_before": None if verified.former is None else verified.former._asdict(),
             "unseen_valves": verification.as_dict(result.tuned.chosen.verified),
         },
         "notes": result.notes,

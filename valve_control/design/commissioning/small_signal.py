@@ -7,19 +7,22 @@ harmonic is 4F/π. So the valve itself was driven by U - (4F/π)·j·Y/|Y| inste
 (describing function, e.g. A. Gelb, W. E. Vander Velde, Multiple-Input Describing Functions, 1968).
 """
 
+import contextlib
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from valve_control.arrays import Floats
 from valve_control.control.commands import scenarios
 from valve_control.design.commissioning import statics
-from valve_control.design.commissioning.bench import Progress, Record, SafetyLimits
+from valve_control.design.commissioning.bench import Record, SafetyLimits
 from valve_control.design.commissioning.courses import REACH
 from valve_control.design.commissioning.statics import Friction, Rest, Static
 from valve_control.design.identification import rational, response
 from valve_control.design.identification.rational import Fit
-from valve_control.design.identification.response import Response, Segment
+from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
 
 FIRST, LAST, STEPS = 0.8, 100.0, 20  # Hz, Hz, -
@@ -44,7 +47,7 @@ class Plan(NamedTuple):
     offset: float  # V
 
 
-def plan(limits: SafetyLimits, rest: Rest, static: Static, period: float) -> Plan:
+def plan(limits: SafetyLimits, static: Static, period: float) -> Plan:
     """The largest sine within the limits: friction bends the response of a small one.
 
     Raises ParameterError.
@@ -61,46 +64,44 @@ def plan(limits: SafetyLimits, rest: Rest, static: Static, period: float) -> Pla
     return Plan(scenarios.sine_steps(FIRST, last, STEPS, CYCLES, STEP_TIME), amplitude, offset)
 
 
-def measured(record: Record, made: Plan, friction: float) -> Response:
+def measured(record: Record, planned: Plan, friction: float) -> Response:
     """Response of the valve itself in a ``record`` of the sine, without ``friction`` [V].
 
     Raises ParameterError if nothing can be used.
     """
-    segments = stretches(made, record)
+    segments = [
+        segment
+        for segment in response.segments_of(planned.steps, record.period)
+        if segment.end <= len(record.reading)
+    ]
     if not segments:
         raise ParameterError("the stepped sine ended before its first frequency was over")
-    seen = response.stepped(record.voltage, record.reading, segments, record.period, SETTLE)
-    kept = []
-    for i, frequency in enumerate(seen.frequency):
+    whole = response.stepped(record.voltage, record.reading, segments, record.period, SETTLE)
+    amplitudes = []
+    for frequency in whole.frequency:
         segment = min(segments, key=lambda s: abs(s.frequency - frequency))
-        middle = segment.first + round(SETTLE / record.period)
-        driven = math.sqrt(2.0) * float(np.std(record.voltage[middle : segment.end]))
-        kept.append((i, driven))
-    return _without(seen, dict(kept), friction)
+        settled = segment.first + round(SETTLE / record.period)
+        amplitudes.append(math.sqrt(2.0) * float(np.std(record.voltage[settled : segment.end])))
+    return _without(whole, np.array(amplitudes), friction)
 
 
 def linear(
-    sine: Record,
-    planned: Plan,
-    static: Static,
-    rest: Rest,
-    told: Progress = lambda done, total: None,
+    sine: Record, planned: Plan, static: Static, rest: Rest, tell: Callable[[], None] = lambda: None
 ) -> tuple[Response, list[Fit], Friction]:
     """Response without friction, its fits, and friction without the valve's own lag.
 
-    ``told`` gets the fits that are done, and of how many. Raises ParameterError.
+    ``tell`` is called before each fit. Raises ParameterError.
     """
     friction = Friction(static.friction, 1.0)
-    total = float(ROUNDS + len(HIGHER))
-    for done in range(ROUNDS):
-        told(float(done), total)
+    for _ in range(ROUNDS):
+        tell()
         response = measured(sine, planned, friction.coulomb)
         second = rational.fit(response, 2)
         lag = second.model.denominator[1] / second.model.denominator[2] + second.delay
         friction = statics.friction(static, lag, rest)
     fits = [second]
-    for done, (order, zeros) in enumerate(HIGHER, ROUNDS):
-        told(float(done), total)
+    for order, zeros in HIGHER:
+        tell()
         try:
             fits.append(rational.fit(response, order, zeros))
         except ParameterError as error:
@@ -108,37 +109,22 @@ def linear(
     return response, fits, friction
 
 
-def richer(seen: Response) -> list[Fit]:
-    """Fits of the forms RICHER, those that the response ``seen`` allows."""
-    made = []
+def richer(measured: Response) -> list[Fit]:
+    """Fits of the forms RICHER, those that the ``measured`` response allows."""
+    fits = []
     for order, zeros in RICHER:
-        try:
-            made.append(rational.fit(seen, order, zeros))
-        except ParameterError:
-            continue
-    return made
+        with contextlib.suppress(ParameterError):
+            fits.append(rational.fit(measured, order, zeros))
+    return fits
 
 
-def stretches(made: Plan, record: Record) -> list[Segment]:
-    """Samples of the frequencies of a ``record`` of the sine."""
-    count = len(record.reading)
-    segments = []
-    for step in made.steps:
-        first = math.ceil(step.start / record.period - 1e-9)
-        end = math.floor(step.end / record.period + 1e-9)
-        if end <= count:
-            segments.append(Segment(first, end, step.frequency))
-    return segments
-
-
-def _without(seen: Response, driven: dict[int, float], friction: float) -> Response:
-    """``seen`` without ``friction`` [V]; ``driven``: amplitude [V] of each frequency's sine."""
-    amplitude = np.array([driven[i] for i in range(len(seen.frequency))])
+def _without(whole: Response, amplitude: Floats, friction: float) -> Response:
+    """The ``whole`` response without ``friction`` [V]; ``amplitude`` [V], n: of each frequency's sine."""
     level = 4.0 * friction / math.pi
-    direction = seen.value / np.abs(seen.value)
+    direction = whole.value / np.abs(whole.value)
     left = amplitude - 1j * level * direction
     usable = np.abs(left) > DRIVEN * amplitude
-    notes = list(seen.notes)
+    notes = list(whole.notes)
     if not np.any(usable):
         raise ParameterError(
             f"friction of {friction:.3g} V takes up the sine; give a higher limit of the voltage"
@@ -147,16 +133,14 @@ def _without(seen: Response, driven: dict[int, float], friction: float) -> Respo
         notes.append(
             f"{int(np.count_nonzero(~usable))} frequencies are left out: friction takes up their sine"
         )
-    value = seen.value * amplitude / left
+    value = whole.value * amplitude / left
     size = np.abs(value)
     unsure = UNSURE * level / np.abs(left) * size
-    deviation = np.hypot(seen.deviation * size / np.abs(seen.value), unsure)
-    return Response(
-        seen.frequency[usable],
-        value[usable],
-        deviation[usable],
-        seen.coherence[usable],
-        seen.period,
-        seen.method,
-        tuple(notes),
+    deviation = np.hypot(whole.deviation * size / np.abs(whole.value), unsure)
+    return whole._replace(
+        frequency=whole.frequency[usable],
+        value=value[usable],
+        deviation=deviation[usable],
+        coherence=whole.coherence[usable],
+        notes=tuple(notes),
     )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Tells rest position, noise, static gain, friction and dead zone from a rest and from a slow triangle."""
+"""Measures rest position, noise, static gain, friction and dead zone in a rest and a slow triangle."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.arrays import Floats
-from valve_control.design.commissioning.bench import Record, SafetyLimits
+from valve_control.design.commissioning.bench import Record
 from valve_control.design.identification import lvdt
 from valve_control.parameter import ParameterError
 
@@ -47,11 +47,11 @@ def at_rest(record: Record) -> Rest:
     known = record.reading[np.isfinite(record.reading)]
     if len(known) < lvdt.WINDOW:
         raise ParameterError(f"only {len(known)} readings came at rest; at least {lvdt.WINDOW} are needed")
-    seen = lvdt.observe(record.reading)
-    return Rest(float(np.mean(known)), seen.noise, seen.resolution)
+    noise, resolution = lvdt.observe(record.reading)
+    return Rest(float(np.mean(known)), noise, resolution)
 
 
-def slow(record: Record, rest: Rest, limits: SafetyLimits) -> Static:
+def slow(record: Record, rest: Rest) -> Static:
     """Static gain, friction and dead zone from the slow triangle of a ``record``. Raises ParameterError."""
     width = max(1, round(WINDOW / record.period))
     parts = record.parts()
@@ -74,9 +74,9 @@ def slow(record: Record, rest: Rest, limits: SafetyLimits) -> Static:
         side = float(np.sign(voltage[end] - voltage[first]))
         moved = side * (reading[first : end + 1] - reading[first])
         # The averaged turn itself reaches a little beyond both of its sides.
-        gone = np.flatnonzero(moved > moved[: width + 1].min() + least)
-        if len(gone):
-            zones.append(abs(float(voltage[first + gone[0]] - record.voltage[first])))
+        moving = np.flatnonzero(moved > moved[: width + 1].min() + least)
+        if len(moving):
+            zones.append(abs(float(voltage[first + moving[0]] - record.voltage[first])))
         beyond = np.flatnonzero(moved > SLIDING * stroke)
         if len(beyond) == 0:
             continue

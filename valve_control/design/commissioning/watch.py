@@ -37,12 +37,12 @@ class Watch:
         if not math.isfinite(value) or abs(value) > self._limits.voltage + ROUNDING:
             raise Fault(f"the voltage is {value:.4g} V, beyond the limit of ±{self._limits.voltage:g} V")
 
-    def diagnosis(self, said: Diagnosis) -> None:
+    def diagnosis(self, diagnosis: Diagnosis) -> None:
         """Take in what the controller says of itself."""
-        text = f"the controller says: {said.text}"
-        if not said.active or said.conditions & ENDS:
+        text = f"the controller says: {diagnosis.text}"
+        if not diagnosis.active or diagnosis.conditions & ENDS:
             raise Fault(text)
-        if said.safe:
-            raise Pause(text) if said.conditions & PAUSES else Fault(text)
-        if said.conditions & SWINGS:
+        if diagnosis.safe:
+            raise Pause(text) if diagnosis.conditions & PAUSES else Fault(text)
+        if diagnosis.conditions & SWINGS:
             raise Swings(text)

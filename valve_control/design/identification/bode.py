@@ -138,31 +138,37 @@ def sections_response(p: biquads.Params, frequency: Floats, period: float) -> Co
 def corners(evaluate: Callable[[Floats], Complexes], highest: float = HIGHEST) -> Corners:
     """First frequencies [Hz] of -3 dB and -90°, relative to the response's value at ``LOWEST``."""
     frequency = np.geomspace(LOWEST, highest, GRID)
-    found: list[float | None] = []
-    for read in (_decibels, _degrees):
-        below = np.flatnonzero(read(evaluate(frequency)) < (-3.0 if read is _decibels else -90.0))
+    reached: list[float | None] = []
+    for read, level in ((decibels, -3.0), (degrees, -90.0)):
+
+        def relative(frequency: Floats, read: Callable[[Complexes], Floats] = read) -> Floats:
+            value = evaluate(frequency)
+            return read(value / value[0])
+
+        below = np.flatnonzero(relative(frequency) < level)
         if len(below) == 0 or below[0] == 0:
-            found.append(None)
+            reached.append(None)
             continue
         last = int(below[0])
         # The start stays in, since both are counted from there; the bracket is made fine.
         fine = np.concatenate([frequency[:last], np.linspace(frequency[last - 1], frequency[last], 200)[1:]])
-        value = read(evaluate(fine))[last - 1 :]
-        level = -3.0 if read is _decibels else -90.0
+        value = relative(fine)[last - 1 :]
         i = int(np.argmax(value < level))
         f0, f1 = fine[last - 2 + i], fine[last - 1 + i]
         part = (value[i - 1] - level) / (value[i - 1] - value[i])
-        found.append(float(f0 + part * (f1 - f0)))
-    return Corners(*found)
+        reached.append(float(f0 + part * (f1 - f0)))
+    return Corners(*reached)
 
 
-def _decibels(value: Complexes) -> Floats:
-    size: Floats = 20.0 * np.log10(np.maximum(np.abs(value / value[0]), 1e-300))
+def decibels(value: Complexes) -> Floats:
+    """Size in dB."""
+    size: Floats = 20.0 * np.log10(np.maximum(np.abs(value), 1e-300))
     return size
 
 
-def _degrees(value: Complexes) -> Floats:
-    turn: Floats = np.degrees(np.unwrap(np.angle(value / value[0])))
+def degrees(value: Complexes) -> Floats:
+    """Phase [°] without leaps."""
+    turn: Floats = np.degrees(np.unwrap(np.angle(value)))
     return turn
 
 

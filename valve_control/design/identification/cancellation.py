@@ -19,18 +19,10 @@ from valve_control.parameter import ParameterError
 LIGHT = 0.3  # damping below which a cancellation needs an exact model
 WRONG = 0.1  # by which the valve's frequency may be off, for that warning
 LOUD = 20.0  # times the static gain, amplification of the command's noise that is warned of
-FAITHFUL = 0.2  # of Nyquist's frequency, up to which the sampled compensator is compared at least
+FAITHFUL = 0.2  # of the sampling frequency, up to which a bandwidth may go
 NEAR = 0.05  # of the wanted bandwidth, by which -3 dB may miss it
 LEAST, MOST = 1e-6, 1e9  # rad/s of a valve's poles and zeros, and V/V of its gain
 RESPONSE_TIME = 2.0  # s of the step response
-
-
-class Sampling(NamedTuple):
-    """Errors of the sampled compensator against the continuous one."""
-
-    up_to: float  # Hz
-    gain_error: float  # relative, largest
-    phase_error: float  # °, largest
 
 
 class Compensator(NamedTuple):
@@ -46,7 +38,6 @@ class Compensator(NamedTuple):
     valve: Corners
     compensated: Corners
     sampled: Corners  # with hold and sampling
-    sampling: Sampling
     largest_gain: float  # V/V, of the sampled compensator
     largest_at: float  # Hz
     largest_step: float  # V, of the command, from standstill at 0 V without saturation
@@ -73,15 +64,15 @@ def make(
     except design.DesignError as error:
         raise ParameterError(str(error)) from error
     nyquist = 0.5 / period
-    if bandwidth >= FAITHFUL * 2.0 * nyquist:
+    if bandwidth >= FAITHFUL / period:
         raise ParameterError(
             f"a bandwidth of {bandwidth:g} Hz is too near to Nyquist's frequency, {nyquist:g} Hz; it must be "
-            f"below {FAITHFUL * 2.0 * nyquist:g} Hz"
+            f"below {FAITHFUL / period:g} Hz"
         )
     grid = np.geomspace(0.01, 0.999 * nyquist, 4000)
     gain = np.abs(bode.sections_response(sections, grid, period))
     loudest = int(np.argmax(gain))
-    made = Compensator(
+    designed = Compensator(
         model=model,
         transfer_function=transfer_function,
         sections=sections,
@@ -95,13 +86,12 @@ def make(
             lambda f: bode.held_response(model, f, period) * bode.sections_response(sections, f, period),
             0.999 * nyquist,
         ),
-        sampling=sampling(transfer_function, sections, period, bandwidth),
         largest_gain=float(gain[loudest]),
         largest_at=float(grid[loudest]),
         largest_step=u_max / _peak(sections, period),
         warnings=(),
     )
-    return made._replace(warnings=tuple(_warnings(made, u_max, amplitude, grid, gain)))
+    return designed._replace(warnings=tuple(_warnings(designed, u_max, amplitude, grid, gain)))
 
 
 def check(model: TransferFunction) -> None:
@@ -130,18 +120,6 @@ def check(model: TransferFunction) -> None:
             raise design.DesignError("the model has coefficients of too different sizes for a valve")
 
 
-def sampling(
-    transfer_function: TransferFunction, sections: biquads.Params, period: float, bandwidth: float
-) -> Sampling:
-    """Largest errors of the bilinear transform up to the ``bandwidth`` [Hz], or farther."""
-    up_to = max(FAITHFUL * 0.5 / period, bandwidth)
-    frequency = np.linspace(up_to / 500.0, up_to, 500)
-    ratio = bode.sections_response(sections, frequency, period) / bode.response(transfer_function, frequency)
-    return Sampling(
-        up_to, float(np.max(np.abs(np.abs(ratio) - 1.0))), float(np.max(np.abs(np.degrees(np.angle(ratio)))))
-    )
-
-
 def _peak(sections: biquads.Params, period: float) -> float:
     """Largest voltage [V] after a step of the command by 1 V."""
     free = sections._replace(u_max=math.inf)
@@ -154,57 +132,60 @@ def _peak(sections: biquads.Params, period: float) -> float:
 
 
 def _warnings(
-    made: Compensator, u_max: float, amplitude: float | None, grid: Floats, gain: Floats
+    designed: Compensator, u_max: float, amplitude: float | None, grid: Floats, gain: Floats
 ) -> list[str]:
-    told = []
-    zeros = bode.roots(made.model.numerator) if made.cancel_zeros else []
-    cancelled = [("poles", root) for root in bode.roots(made.model.denominator)]
+    warnings = []
+    zeros = bode.roots(designed.model.numerator) if designed.cancel_zeros else []
+    cancelled = [("poles", root) for root in bode.roots(designed.model.denominator)]
     cancelled += [("zeros", root) for root in zeros if root.damping > 0.0]
-    for what, root in cancelled:
+    for part, root in cancelled:
         if root.pair and root.damping < LIGHT:
-            told.append(
-                f"the cancelled {what} at {root.frequency:.2f} Hz have a damping of {root.damping:.2f}: if "
+            warnings.append(
+                f"the cancelled {part} at {root.frequency:.2f} Hz have a damping of {root.damping:.2f}: if "
                 f"the valve's lie 10 % off, the response is wrong by up to {mismatch(root):.1f} dB there"
             )
     for root in zeros:
         if root.damping <= 0.0:
-            told.append(f"the zero at {root.frequency:.2f} Hz lies to the right and stays in the response")
-    static = abs(made.transfer_function.static_gain)
-    if made.largest_gain > LOUD * static:
-        told.append(
-            f"noise of the command comes out {made.largest_gain:.3g} times larger at {made.largest_at:.4g} "
-            f"Hz ({made.largest_gain / static:.3g} times the static gain)"
+            warnings.append(
+                f"the zero at {root.frequency:.2f} Hz lies to the right and stays in the response"
+            )
+    static = abs(designed.transfer_function.static_gain)
+    if designed.largest_gain > LOUD * static:
+        warnings.append(
+            f"noise of the command comes out {designed.largest_gain:.3g} times larger at "
+            f"{designed.largest_at:.4g} Hz ({designed.largest_gain / static:.3g} times the static gain)"
         )
-    got = made.compensated.minus_3db
-    if not _near(got, made.bandwidth):
-        there = "nowhere" if got is None else f"at {got:.2f} Hz"
-        told.append(
-            f"-3 dB comes {there}, not at the wanted {made.bandwidth:g} Hz: "
+    reached = designed.compensated.minus_3db
+    if not _near(reached, designed.bandwidth):
+        there = "nowhere" if reached is None else f"at {reached:.2f} Hz"
+        warnings.append(
+            f"-3 dB comes {there}, not at the wanted {designed.bandwidth:g} Hz: "
             "the zeros that stay change the response"
         )
-    sampled = made.sampled.minus_3db
-    if not _near(sampled, made.bandwidth) and not _near(sampled, got):
+    sampled = designed.sampled.minus_3db
+    if not _near(sampled, designed.bandwidth) and not _near(sampled, reached):
         there = "nowhere" if sampled is None else f"at {sampled:.2f} Hz"
-        told.append(
-            f"sampled every {1e3 * made.period:g} ms, -3 dB comes {there}, not at the wanted "
-            f"{made.bandwidth:g} Hz: sample faster or want less"
+        warnings.append(
+            f"sampled every {1e3 * designed.period:g} ms, -3 dB comes {there}, not at the wanted "
+            f"{designed.bandwidth:g} Hz: sample faster or want less"
         )
     if amplitude is not None:
         if static * amplitude >= u_max:
-            told.append(
+            warnings.append(
                 f"saturation is sure: {amplitude:g} V held needs {static * amplitude:.3g} V of {u_max:g} V"
             )
         over = np.flatnonzero(gain * amplitude >= u_max)
-        if len(over) and grid[over[0]] < made.bandwidth:
-            told.append(
+        if len(over) and grid[over[0]] < designed.bandwidth:
+            warnings.append(
                 f"saturation is sure: a sine of {amplitude:g} V exceeds {u_max:g} V from "
                 f"{grid[over[0]]:.3g} Hz on"
             )
-        if amplitude > made.largest_step:
-            told.append(
-                f"a step by {amplitude:g} V saturates; the largest that does not is {made.largest_step:.3g} V"
+        if amplitude > designed.largest_step:
+            warnings.append(
+                f"a step by {amplitude:g} V saturates; the largest that does not is "
+                f"{designed.largest_step:.3g} V"
             )
-    return told
+    return warnings
 
 
 def _near(frequency: float | None, wanted: float | None) -> bool:
@@ -223,26 +204,26 @@ def mismatch(root: Root) -> float:
     return float(np.max(wrong))
 
 
-def bode_figure(made: Compensator, path: str) -> bytes:
+def bode_figure(designed: Compensator, path: str) -> bytes:
     """Draw valve, compensator and both together, continuous and sampled, as the file ``path``."""
     from valve_control import outputs
     from valve_control.control.analysis.figures import COLOURS, bode_axes
 
-    f = np.geomspace(0.1, 0.45 / made.period, 800)
-    valve, own = bode.response(made.model, f), bode.response(made.transfer_function, f)
-    held = bode.held_response(made.model, f, made.period)
-    sections = bode.sections_response(made.sections, f, made.period)
+    f = np.geomspace(0.1, 0.45 / designed.period, 800)
+    valve, alone = bode.response(designed.model, f), bode.response(designed.transfer_function, f)
+    held = bode.held_response(designed.model, f, designed.period)
+    sections = bode.sections_response(designed.sections, f, designed.period)
     curves = [
         ("valve", valve, "black", "-"),
-        ("compensator", own, COLOURS[0], "-"),
+        ("compensator", alone, COLOURS[0], "-"),
         ("compensator, sampled", sections, COLOURS[0], "--"),
-        ("compensated valve", valve * own, COLOURS[1], "-"),
+        ("compensated valve", valve * alone, COLOURS[1], "-"),
         ("compensated valve, sampled", held * sections, COLOURS[1], "--"),
     ]
-    figure, top, bottom = bode_axes(f"pole-zero compensator for {made.bandwidth:g} Hz", "gain [dB]")
+    figure, top, bottom = bode_axes(f"pole-zero compensator for {designed.bandwidth:g} Hz", "gain [dB]")
     for label, value, colour, line in curves:
-        top.semilogx(f, 20.0 * np.log10(np.abs(value)), color=colour, ls=line, label=label)
-        bottom.semilogx(f, np.degrees(np.unwrap(np.angle(value))), color=colour, ls=line)
+        top.semilogx(f, bode.decibels(value), color=colour, ls=line, label=label)
+        bottom.semilogx(f, bode.degrees(value), color=colour, ls=line)
     top.axhline(-3.0, color="grey", lw=0.8)
     bottom.axhline(-90.0, color="grey", lw=0.8)
     top.set_ylim(-60.0, None)

@@ -3,7 +3,6 @@
 """Tests a valve: excites it with voltages, takes its readings, and estimates the frequency response."""
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -66,21 +65,14 @@ def simulated(controller: Values, valve: Values, command: Values, motion: Floats
         controller,
         {"controller": "open_loop", "open_loop.static_gain": 1.0, "command_limit": 100.0},
     )
-    _check_stable(valve)
     period = number(valve, "sample_period")
     segments: tuple[Segment, ...] = ()
     if motion is None:
         motion = build.commands(command)
     if command["scenario"] == "stepped_sine":
         shape = build.shape(command)
-        segments = tuple(
-            Segment(
-                math.ceil((shape.start + step.start) / period - 1e-9),
-                min(len(motion), math.floor((shape.start + step.end) / period + 1e-9)),
-                step.frequency,
-            )
-            for step in scenarios.steps_of(shape)
-        )
+        whole = response.segments_of(scenarios.steps_of(shape), period, shape.start)
+        segments = tuple(s._replace(end=min(len(motion), s.end)) for s in whole)
     u_max = number(open_loop, "u_max")
     largest = float(np.max(np.abs(motion)))
     if largest >= u_max:
@@ -92,26 +84,12 @@ def simulated(controller: Values, valve: Values, command: Values, motion: Floats
         run = offline.simulate(open_loop, valve, motion, alone=True)
     if not np.all(np.abs(run.measurement) <= DIVERGED * u_max):
         raise ParameterError(
-            "the position runs away, so the valve has no frequency response without feedback"
+            "the position runs away: the valve is unstable and has no frequency response without feedback"
         )
     source = f"{command['scenario']}, up to {largest:.3g} V, {len(motion) * period:.4g} s"
     return Experiment(
         f"simulated valve ({source})", period, run.voltage, run.measurement, segments, u_max, ()
     )
-
-
-def _check_stable(values: Values) -> None:
-    """Raise ParameterError for a valve that cannot be tested without feedback."""
-    model = build.valve_model(values)
-    # Flow force feeds the position back to the input.
-    feedback = number(values, "flow_force")
-    poles = np.roots(np.polyadd(model.denominator, feedback * np.asarray(model.numerator)))
-    worst = poles[np.argmax(poles.real)]
-    if worst.real >= -1e-9 * abs(worst):
-        raise ParameterError(
-            f"the valve is unstable (a pole at {worst:.3g} rad/s), so it has no frequency response without "
-            "feedback"
-        )
 
 
 def test_values(given: dict[str, object], period: float) -> Values:
@@ -162,20 +140,6 @@ def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | 
     return measured
 
 
-def excitation_notes(measured: Response, fits: Sequence[Fit]) -> list[str]:
-    """That the test moves the valve too little for bounds, and how well it tells the response."""
-    orders = [str(made.order) for made in fits if not made.bounded]
-    if not orders:
-        return []
-    least, usual = float(np.min(measured.coherence)), float(np.median(measured.coherence))
-    unsure = float(np.median(measured.deviation / np.abs(measured.value)))
-    return [
-        f"no 95 % bounds of order {' and '.join(orders)}: what it leaves of the response is not noise; the "
-        f"excitation has {len(measured.frequency)} frequencies, coherence {least:.3f} and more (half of them "
-        f"{usual:.3f}), usual uncertainty {100.0 * unsure:.2g} %; a stepped sine or a longer test tells more"
-    ]
-
-
 def coherence_notes(measured: Response) -> list[str]:
     """Frequencies at which much of the motion is not the voltage's, as a sentence."""
     weak = np.flatnonzero(measured.coherence < INCOHERENT)
@@ -191,19 +155,14 @@ def coherence_notes(measured: Response) -> list[str]:
     ]
 
 
-def range_notes(measured: Response, second: Fit, best: Fit, simulated: bool) -> list[str]:
-    """Limits of the result by the sample period and the range of the frequencies, as sentences.
-
-    ``simulated``: the test has options that can be changed.
-    """
+def range_notes(measured: Response, second: Fit, best: Fit) -> list[str]:
+    """Limits of the result by the sample period and the range of the frequencies, as sentences."""
     made = []
     highest, most = float(measured.frequency[-1]), ROOM / measured.period
     if measured_corners(measured, best.model.static_gain).minus_3db is None and highest < 0.9 * most:
-        further = min(most, 10.0 * highest)
         made.append(
             f"no -3 dB up to {highest:.4g} Hz: the valve goes further than the test; "
-            + (f"with --set end_frequency={further:.4g}" if simulated else f"up to {further:.4g} Hz")
-            + " it tells more"
+            f"an end_frequency of {min(most, 10.0 * highest):.4g} Hz tells more"
         )
     natural = math.sqrt(max(0.0, second.model.denominator[-1])) / (2.0 * math.pi)
     if natural * measured.period * SAMPLES > 1.0:

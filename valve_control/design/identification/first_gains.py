@@ -9,7 +9,7 @@ sampled loop are inside the unit circle.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -57,10 +57,15 @@ KNOWN_FIT, KNOWN_FORGETTING = 0.4, 0.05  # V, 1/s
 
 
 class FirstGains(NamedTuple):
-    """Parameters of the controller, and what there is to say about them."""
+    """Parameters of the controller, and why laws have none."""
 
     values: Values
-    notes: tuple[str, ...]
+    refusals: Mapping[str, str]  # reason by law
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences for the user."""
+        return tuple(f"{law}'s gains are left out: {reason}" for law, reason in self.refusals.items())
 
 
 class Magnet(NamedTuple):
@@ -85,9 +90,7 @@ class KnownValve(NamedTuple):
     magnet: Magnet | None = None  # None: not known
 
 
-def with_dead_time(
-    measured: Response, best: Fit, weighting: str
-) -> tuple[TransferFunction, float, tuple[str, ...]]:
+def with_dead_time(measured: Response, best: Fit) -> tuple[TransferFunction, float, tuple[str, ...]]:
     """Model of the order of ``best`` with its dead time [s], and a note on the latter.
 
     Where ``best`` has none, it is fitted too; it counts if it is certain, and the coefficients belong to it.
@@ -95,7 +98,7 @@ def with_dead_time(
     if "delay" in best.names:
         return best.model, best.delay, ()
     try:
-        late = fit(measured, best.order, len(best.model.numerator) - 1, True, weighting)
+        late = fit(measured, best.order, len(best.model.numerator) - 1, True)
         check_worth(late)
     except ParameterError:
         return best.model, 0.0, ()
@@ -115,7 +118,7 @@ def first(known: KnownValve, around: KnownValve | None = None) -> FirstGains:
     model than that.
     """
     values: Values = {**reshaping.limits(known.model, known.u_max), **reshaping.at_period(known.period)}
-    notes: list[str] = []
+    refusals: dict[str, str] = {}
     makers: tuple[tuple[Law, Callable[[KnownValve, float], Values]], ...] = (
         (pid.LAW, _pid),
         (arc.LAW, _arc),
@@ -125,12 +128,10 @@ def first(known: KnownValve, around: KnownValve | None = None) -> FirstGains:
     corners = list(_corners(known if around is None else around))
     for law, make in makers:
         try:
-            made = _safe(law, make, known, corners)
+            values.update(_safe(law, make, known, corners))
         except ParameterError as error:
-            notes.append(f"{law.name}'s gains are left out: {error}")
-            continue
-        values.update(made)
-    return FirstGains(values, tuple(notes))
+            refusals[law.name] = str(error)
+    return FirstGains(values, refusals)
 
 
 def _safe(

@@ -44,7 +44,6 @@ LEAST_WINDOWS = 10
 HIGHEST = 9  # harmonic of a stepped sine that is looked at
 SETTLED = 0.4  # s
 LEFT = 0.1  # share of the correction for friction and play that counts as its uncertainty
-TOLD_OFFSET = 0.1  # V  from which on its possible causes are told
 MISFIT = 1.5  # deviations, rms, from which on friction is not that of bristles which turn round
 SLOWEST = 5.0  # lags of the valve, that a stroke takes at least between its turn and STEADY
 
@@ -204,17 +203,6 @@ def _harmonics(tested: Experiment, segment: Segment) -> Floats | None:
         return None
     fitted: Floats = basis @ np.linalg.lstsq(basis[:-1][usable], reading[usable], rcond=None)[0]
     return fitted
-
-
-def offset_notes(found: Friction) -> list[str]:
-    """What readings do not tell of the offset, as sentences."""
-    if abs(found.offset) < TOLD_OFFSET:
-        return []
-    return [
-        f"the offset of {found.offset:.3g} V may be one of the valve, a bias of the LVDT of "
-        f"{found.offset * found.static_gain:.3g} V, or some of both: readings do not tell them apart, and "
-        "with a bias the spool stands off by it; look at the edges or the flow at command 0"
-    ]
 
 
 def _dragged(position: Floats, delta: float) -> Floats:

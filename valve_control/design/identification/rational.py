@@ -63,7 +63,6 @@ class Fit(NamedTuple):
     order: int
     model: TransferFunction  # highest denominator coefficient 1
     delay: float  # s
-    weighting: str
     names: tuple[str, ...]  # of the coefficients: b2, b1, b0, a3, …, a0, delay
     values: Floats  # of the coefficients
     bounds: Floats  # half-widths of their 95 % confidence intervals
@@ -114,16 +113,16 @@ def fit(
     order: int,
     zeros: int | None = None,
     delayed: bool = False,
-    weighting: str = "likelihood",
+    relative: bool = False,
     latest: float = math.inf,
 ) -> Fit:
     """Stable model of ``order`` with ``zeros`` (two fewer than poles) that comes nearest to ``measured``.
 
-    ``weighting``: what one unit of error is. likelihood: the standard deviation of the measurement, with a
-    relative error of the model added where noise alone does not explain the distance; relative: the size of
-    the response; uniform: one volt per volt. The model is compared as held and sampled, so that hold and
-    sampling bias nothing. ``delayed``: a dead time is estimated too, of ``latest`` [s] at most. Bounds come
-    from the Jacobian. Raises ParameterError if there are too few frequencies, or no model fits.
+    One unit of error is the standard deviation of the measurement, with a relative error of the model added
+    where noise alone does not explain the distance; ``relative``: the size of the response. The model is
+    compared as held and sampled, so that hold and sampling bias nothing. ``delayed``: a dead time is
+    estimated too, of ``latest`` [s] at most. Bounds come from the Jacobian. Raises ParameterError if there
+    are too few frequencies, or no model fits.
     """
     zeros = max(0, order - 2) if zeros is None else zeros
     if not 0 <= zeros < order:
@@ -137,7 +136,7 @@ def fit(
         )
     size = np.abs(measured.value)
     form, x, free_error = _start(measured, order, zeros, delayed, size, latest)
-    x, weight = _weighted(form, x, measured, weighting, count)
+    x, weight = _weighted(form, x, measured, relative, count)
     _check(form, x, measured)
     distance = _distance(form, x, measured)
     model_error = _model_error(measured, distance, count)
@@ -156,7 +155,6 @@ def fit(
         order=order,
         model=model,
         delay=delay,
-        weighting=weighting,
         names=(*names, *(["delay"] if delayed else [])),
         values=form.coefficients(x),
         bounds=quantile * _deviations(form.coefficients, x, covariance),
@@ -178,14 +176,14 @@ def _deviations(read: Callable[[Floats], Floats], x: Floats, covariance: Floats)
 
 
 def _weighted(
-    form: _Form, x: Floats, measured: Response, weighting: str, count: int
+    form: _Form, x: Floats, measured: Response, relative: bool, count: int
 ) -> tuple[Floats, Floats]:
-    """The ``count`` unknowns from ``x`` on under a ``weighting`` as of ``fit``, and the weights used."""
+    """The ``count`` unknowns from ``x`` on, and the weights used; ``relative``: as of ``fit``."""
     size = np.abs(measured.value)
-    if weighting != "likelihood":
-        weight = 1.0 / size if weighting == "relative" else np.ones(len(size))
-        return _minimise(form, x, measured, weight), weight
-    x = _minimise(form, x, measured, 1.0 / size)
+    weight = 1.0 / size
+    x = _minimise(form, x, measured, weight)
+    if relative:
+        return x, weight
     for _ in range(4):
         model_error = _model_error(measured, _distance(form, x, measured), count)
         weight = 1.0 / np.hypot(measured.deviation, model_error * size)

@@ -17,6 +17,7 @@ import scipy.fft
 
 from valve_control.arrays import Complexes, Floats
 from valve_control.control.commands.arrays import refuse_aliased
+from valve_control.control.commands.scenarios import Step
 from valve_control.parameter import ParameterError
 
 LEAST_CYCLES = 2
@@ -42,6 +43,18 @@ class Segment(NamedTuple):
     first: int
     end: int
     frequency: float  # Hz
+
+
+def segments_of(steps: Sequence[Step], period: float, start: float = 0.0) -> list[Segment]:
+    """Samples of the ``steps`` of a stepped sine that begins at ``start`` [s]."""
+    return [
+        Segment(
+            math.ceil((start + step.start) / period - 1e-9),
+            math.floor((start + step.end) / period + 1e-9),
+            step.frequency,
+        )
+        for step in steps
+    ]
 
 
 class Response(NamedTuple):

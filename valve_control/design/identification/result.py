@@ -36,8 +36,7 @@ class Identification(NamedTuple):
 
     source: str
     measured: Response
-    fits: tuple[Fit, ...]  # by order
-    best: Fit  # the one that stands for the valve
+    fits: tuple[Fit, ...]  # the last one stands for the valve
     theta: Suggestion
     lvdt: Lvdt
     gains: Values  # of the controller, for a first run
@@ -45,6 +44,11 @@ class Identification(NamedTuple):
     notes: tuple[str, ...]
     friction: Friction | None = None  # None: not tested
     curve: Characteristic | None = None  # None: not tested, or to one side alone
+
+    @property
+    def best(self) -> Fit:
+        """The fit that stands for the valve."""
+        return self.fits[-1]
 
 
 def polynomial(coefficients: tuple[float, ...]) -> str:
@@ -64,35 +68,30 @@ def hertz(frequency: float | None) -> str:
     return "none" if frequency is None else f"{frequency:.2f} Hz"
 
 
-def roots_text(found: list[Root]) -> str:
-    """Poles or zeros in Hz, with damping."""
-    told = [f"{r.frequency:.2f} Hz" + (f" (damping {r.damping:.3f})" if r.pair else "") for r in found]
-    return ", ".join(told) or "none"
+def roots_text(roots: list[Root], measured: Response | None = None) -> str:
+    """Poles or zeros in Hz, with damping, and with a word about those beyond a ``measured`` response."""
+    texts = [
+        f"{r.frequency:.2f} Hz"
+        + (f" (damping {r.damping:.3f})" if r.pair else "")
+        + ("" if measured is None or _excited(r.frequency, measured) else " (not excited by the test)")
+        for r in roots
+    ]
+    return ", ".join(texts) or "none"
 
 
-def _excited(frequency: float | None, measured: Response) -> bool:
+def corners_text(corners: Corners) -> str:
+    """Frequencies of -3 dB and -90°."""
+    return f"-3 dB at {hertz(corners.minus_3db)}, -90° at {hertz(corners.minus_90)}"
+
+
+def _excited(frequency: float, measured: Response) -> bool:
     """Whether the test tells of this ``frequency`` [Hz]: it lies within those of ``measured``, or near by."""
-    if frequency is None:
-        return True
     return bool(measured.frequency[0] / NEAR <= frequency <= NEAR * measured.frequency[-1])
 
 
-def _corner_text(frequency: float | None, measured: Response) -> str:
-    """A corner of a fit, which a test does not tell beyond its frequencies."""
-    if frequency is None or _excited(frequency, measured):
-        return f"at {hertz(frequency)}"
-    low, high = measured.frequency[0], measured.frequency[-1]
-    beyond = f"above {high:.4g}" if frequency > high else f"below {low:.4g}"
-    return f"{beyond} Hz, where the test ends"
-
-
-def _poles_text(found: list[Root], measured: Response) -> str:
-    """Poles or zeros in Hz, those that the test did not excite with a word about it."""
-    told = [
-        roots_text([r]) + ("" if _excited(r.frequency, measured) else " (not excited by the test)")
-        for r in found
-    ]
-    return ", ".join(told) or "none"
+def _corners(fit: Fit, measured: Response) -> Corners:
+    """Corners of a ``fit`` that the test tells."""
+    return Corners(*(None if c is None or not _excited(c, measured) else c for c in fit.corners))
 
 
 def fit_text(made: Fit, measured: Response) -> str:
@@ -113,10 +112,9 @@ def fit_text(made: Fit, measured: Response) -> str:
     lines += [
         f"  static gain {made.model.static_gain:.5f}{width} V/V; "
         f"fit error {100 * made.error:.3g} % rms{about}",
-        f"  poles {_poles_text(bode.roots(made.model.denominator), measured)}; "
-        f"zeros {_poles_text(bode.roots(made.model.numerator), measured)}",
-        f"  -3 dB {_corner_text(made.corners.minus_3db, measured)}, "
-        f"-90° {_corner_text(made.corners.minus_90, measured)}",
+        f"  poles {roots_text(bode.roots(made.model.denominator), measured)}; "
+        f"zeros {roots_text(bode.roots(made.model.numerator), measured)}",
+        f"  {corners_text(_corners(made, measured))}",
     ]
     return "\n".join(lines)
 
@@ -149,7 +147,7 @@ def text(found: Identification) -> str:
         f"measured: {m.method}, {len(m.frequency)} frequencies from {m.frequency[0]:.4g} to "
         f"{m.frequency[-1]:.4g} Hz, uncertainty {100 * np.min(relative):.2g} to "
         f"{100 * np.max(relative):.2g} %, coherence {np.min(m.coherence):.3f} to {np.max(m.coherence):.3f}; "
-        f"-3 dB at {hertz(corners.minus_3db)}, -90° at {hertz(corners.minus_90)}",
+        f"{corners_text(corners)}",
         *(fit_text(made, m) for made in found.fits),
         theta_text(found.theta),
         f"LVDT: noise {1e3 * found.lvdt.noise:.3g} mV, "
@@ -280,23 +278,10 @@ def parameter_file(tree: dict[str, Values], comments: list[str]) -> str:
 
 def read_model(path: str) -> TransferFunction:
     """The valve's model in a parameter file such as ``identify`` writes. Raises ParameterError."""
-    given = load(path)
-    valve, controller = given["valve_simulator"], given["controller"]
-    if "valve" in valve or "numerator" in valve:
-        valve_values = updated(NODES["valve_simulator"], defaults(NODES["valve_simulator"]), valve)
-        return build.valve_model(valve_values)
-    if "compensator.numerator" in controller:
-        values: Values = updated(
-            NODES["valve_simulator"],
-            defaults(NODES["valve_simulator"]),
-            {
-                "valve": "custom",
-                "numerator": controller["compensator.numerator"],
-                "denominator": controller.get("compensator.denominator", [1.0, 58.771, 1657.206]),
-            },
-        )
-        return build.valve_model(values)
-    raise ParameterError(f"{path} has no valve model: neither 'valve' nor 'compensator.numerator' is in it")
+    valve = load(path)["valve_simulator"]
+    if "valve" not in valve and "numerator" not in valve:
+        raise ParameterError(f"{path} has no valve model: neither 'valve' nor 'numerator' is in it")
+    return build.valve_model(updated(NODES["valve_simulator"], defaults(NODES["valve_simulator"]), valve))
 
 
 def corners_dict(found: Corners) -> dict[str, float | None]:
@@ -311,7 +296,6 @@ def theta_dict(found: Suggestion) -> dict[str, list[float]]:
 
 def fit_dict(made: Fit, measured: Response) -> dict[str, Any]:
     """One fit to ``measured`` for JSON; a corner that the test did not excite is None."""
-    corners = Corners(*(c if _excited(c, measured) else None for c in made.corners))
     return {
         "order": made.order,
         "numerator": list(made.model.numerator),
@@ -327,10 +311,9 @@ def fit_dict(made: Fit, measured: Response) -> dict[str, Any]:
         },
         "poles": [root._asdict() for root in bode.roots(made.model.denominator)],
         "zeros": [root._asdict() for root in bode.roots(made.model.numerator)],
-        "weighting": made.weighting,
         "error": made.error,
         "model_error": made.model_error,
-        **corners_dict(corners),
+        **corners_dict(_corners(made, measured)),
     }
 
 
@@ -361,32 +344,14 @@ def as_dict(found: Identification) -> dict[str, Any]:
     }
 
 
-def csv_text(m: Response) -> str:
-    """The measured response as CSV."""
-    rows = ["frequency_hz,real,imaginary,magnitude_db,phase_deg,deviation,coherence"]
-    phase = np.degrees(np.unwrap(np.angle(m.value)))
-    for i, value in enumerate(m.value):
-        numbers = (
-            m.frequency[i],
-            value.real,
-            value.imag,
-            20.0 * np.log10(abs(value)),
-            phase[i],
-            m.deviation[i],
-            m.coherence[i],
-        )
-        rows.append(",".join(f"{number:.10g}" for number in numbers))
-    return "\n".join(rows) + "\n"
-
-
 def bode_figure(found: Identification, path: str) -> bytes:
     """Draw the measured response with 95 % error bars and the fits, as the file ``path``."""
     m = found.measured
     figure, top, bottom = bode_axes(found.source, "position over voltage [dB]")
     share = 1.96 * m.deviation / np.abs(m.value)
-    size = 20.0 * np.log10(np.abs(m.value))
+    size = bode.decibels(m.value)
     bar = np.vstack([-20.0 * np.log10(np.maximum(1.0 - share, 0.05)), 20.0 * np.log10(1.0 + share)])
-    turn = np.degrees(np.unwrap(np.angle(m.value)))
+    turn = bode.degrees(m.value)
     style = {
         "fmt": "o",
         "ms": 4,
@@ -404,8 +369,8 @@ def bode_figure(found: Identification, path: str) -> bytes:
     for made, colour in zip(found.fits, COLOURS, strict=False):
         value = bode.held_response(made.model, frequency, m.period, made.delay)
         label = f"order {made.order}, error {100 * made.error:.2g} %"
-        top.semilogx(frequency, 20.0 * np.log10(np.abs(value)), color=colour, label=label)
-        bottom.semilogx(frequency, np.degrees(np.unwrap(np.angle(value))), color=colour, label=label)
+        top.semilogx(frequency, bode.decibels(value), color=colour, label=label)
+        bottom.semilogx(frequency, bode.degrees(value), color=colour, label=label)
     top.legend(loc="lower left")
     figure.tight_layout()
     return outputs.figure_bytes(figure, path)

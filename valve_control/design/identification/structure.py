@@ -11,7 +11,6 @@ itself beside it.
 [1] G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6 (1978).
 """
 
-from collections.abc import Sequence
 from itertools import groupby
 from typing import NamedTuple
 
@@ -35,11 +34,6 @@ class Candidate(NamedTuple):
         """Coefficients and dead time."""
         return self.poles + self.zeros + 1 + self.late
 
-    def __str__(self) -> str:
-        """In words."""
-        zeros = {0: "no zeros", 1: "1 zero"}.get(self.zeros, f"{self.zeros} zeros")
-        return f"{self.poles} poles, {zeros}" + (", dead time" if self.late else "")
-
 
 class Scored(NamedTuple):
     """A candidate and what the response says of it."""
@@ -49,55 +43,43 @@ class Scored(NamedTuple):
     model_error: float  # relative error that noise does not explain
 
 
-class Structure(NamedTuple):
-    """The structure that the response shows."""
-
-    best: Fit
-    tried: tuple[Scored, ...]  # in the order in which they were tried
-    refused: tuple[tuple[Candidate, str], ...]  # candidates nearer to the response that are not in the data
-
-
 def candidates(delayed: bool | None) -> list[Candidate]:
     """All candidates, the simplest first; ``delayed``: without or with a dead time, None: both."""
     late = (False, True) if delayed is None else (delayed,)
-    made = [Candidate(poles, zeros, d) for poles, zeros in FORMS for d in late]
-    return sorted(made, key=lambda c: c.unknowns)
+    return sorted((Candidate(*form, d) for form in FORMS for d in late), key=lambda c: c.unknowns)
 
 
-def choose(measured: Response, delayed: bool | None = None, weighting: str = "likelihood") -> Structure:
+def choose(measured: Response, delayed: bool | None = None) -> Fit:
     """The simplest of the candidates nearest to ``measured``; ``delayed`` as for ``candidates``.
 
     Candidates with more unknowns are tried until noise alone explains what one leaves. One whose
     coefficients are not in the data gives way to the next best. Raises ParameterError if none is left.
     """
     tried: list[Scored] = []
-    refused: list[tuple[Candidate, str]] = []
+    refusals: list[str] = []
     for _, level in groupby(candidates(delayed), key=lambda c: c.unknowns):
         for form in level:
             try:
                 tried.append(Scored(form, *criterion(measured, *form)))
             except ParameterError as error:
-                refused.append((form, str(error)))
+                refusals.append(str(error))
         if any(one.model_error == 0.0 for one in tried):
             break
-    left = list(tried)
-    while left:
-        best = _simplest(left)
-        left.remove(best)
-        form = best.form
+    while tried:
+        best = simplest(tried)
+        tried.remove(best)
         try:
-            made = fit(measured, form.poles, form.zeros, form.late, weighting)
-            check_worth(made)
-            if form.poles > 2:
-                check_clear(made)
+            fitted = fit(measured, best.form.poles, best.form.zeros, best.form.late)
+            check_worth(fitted)
+            if fitted.order > 2:
+                check_clear(fitted)
+            return fitted
         except ParameterError as error:
-            refused.append((form, str(error)))
-            continue
-        return Structure(made, tuple(tried), tuple(refused))
-    raise ParameterError(refused[0][1])
+            refusals.append(str(error))
+    raise ParameterError(refusals[0])
 
 
-def _simplest(tried: Sequence[Scored]) -> Scored:
+def simplest(tried: list[Scored]) -> Scored:
     """Of the nearest: fewest zeros, then fewest poles, then no dead time.
 
     Near are those within NEAR of the least criterion, and those that leave no more than noise.
@@ -107,22 +89,14 @@ def _simplest(tried: Sequence[Scored]) -> Scored:
     return min(near, key=lambda one: (one.form.zeros, one.form.poles, one.form.late))
 
 
-def beside(
-    measured: Response, second: Fit, delayed: bool = False, weighting: str = "likelihood"
-) -> tuple[Fit | None, str]:
+def beside(measured: Response, second: Fit, delayed: bool = False) -> tuple[Fit | None, str]:
     """The model that stands for the valve beside the ``second`` order, or None and why there is none.
 
     ``delayed``: it has a dead time in any case. Raises ParameterError if nothing can be fitted.
     """
     if second.model_error == 0.0:
         return None, "noise alone explains what the second order leaves, so no higher order is fitted"
-    best = choose(measured, True if delayed else None, weighting).best
+    best = choose(measured, True if delayed else None)
     if best.names != second.names:
         return best, ""
-    try:
-        fourth = fit(measured, 4, None, delayed, weighting)
-        check_worth(fourth)
-        check_clear(fourth)
-    except ParameterError as error:
-        return None, f"the second order stands alone: {error}"
     return None, "the second order stands alone: more poles explain no more of the response than chance does"

@@ -82,7 +82,7 @@ def _up_to(measured: Response, best: Fit, highest: float) -> Floats | None:
         frequency, value, 1e-6 * np.abs(value), np.ones(30), measured.period, measured.method, ()
     )
     try:
-        b0, a1, a0 = fit(exact, 2, weighting="relative").values
+        b0, a1, a0 = fit(exact, 2, relative=True).values
     except ParameterError:
         return None
     return np.array([a1, a0, b0])

@@ -1,0 +1,195 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Identifies a valve by its tests: response, structure, friction, characteristic curve, first gains."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from valve_control.design.identification import (
+    characteristic,
+    dead_time,
+    experiment,
+    first_gains,
+    friction,
+    lvdt,
+    rational,
+    structure,
+    theta,
+)
+from valve_control.design.identification.characteristic import Characteristic
+from valve_control.design.identification.experiment import Experiment
+from valve_control.design.identification.friction import Friction
+from valve_control.design.identification.rational import Fit
+from valve_control.design.identification.response import Response
+from valve_control.design.identification.result import Identification
+from valve_control.parameter import ParameterError
+
+SETTLE = 0.4  # s
+ROUNDS = 2  # the friction needs the model, and the model the friction
+
+
+class Request(NamedTuple):
+    """How tests are evaluated."""
+
+    settle: float = SETTLE  # s  transient at the beginning of each step that is left out
+    band: tuple[float, float] | None = None  # Hz  that is fitted; None: all
+    order: int | None = None  # of the model beside the second order; None: the response chooses
+    delayed: bool = False  # a dead time is fitted in any case
+    sensor_delay: float = 0.0  # s  part of the dead time
+
+    def check(self) -> None:
+        """Raise ParameterError for what cannot be."""
+        dead_time.check(self.sensor_delay)
+        if not 0.0 <= self.settle < float("inf"):
+            raise ParameterError(f"--settle is {self.settle:g} s; it must be finite and not negative")
+        low, high = self.band or (1.0, 2.0)
+        if not 0.0 < low < high < float("inf"):
+            raise ParameterError(f"--band {low:g} {high:g} must be two rising frequencies above 0 Hz")
+
+
+def identified(
+    tested: Experiment,
+    triangle: Experiment | None,
+    request: Request,
+    tell: Callable[[], None] = lambda: None,
+) -> Identification:
+    """The valve of the test ``tested``, and of a slow ``triangle`` with its friction.
+
+    The friction needs the lag of the model, and the model what friction leaves. ``tell`` is called after each
+    round of both. Raises ParameterError.
+    """
+    if triangle is not None and triangle.period != tested.period:
+        raise ParameterError(
+            f"the friction test has a sample period of {triangle.period:g} s, the other one of "
+            f"{tested.period:g} s; they must agree"
+        )
+    whole = measured = experiment.estimate(tested, request.settle, request.band)
+    fits, notes = _fits(request, tested, measured)
+    tell()
+    rubbing, curve = None, None
+    for _ in range(0 if triangle is None else ROUNDS):
+        assert triangle is not None
+        lag = friction.lag_of(fits[-1].model, fits[-1].delay)
+        rubbing, curve = characteristic.with_friction(triangle, lag)
+        slipping, played = _slipping(tested, rubbing, curve, measured) if tested.segments else (tested, False)
+        measured = experiment.estimate(slipping, request.settle, request.band)
+        measured = friction.unsure(measured, whole) if played else measured
+        fits, notes = _fits(request, tested, measured)
+        tell()
+    return _with_gains(request, tested, measured, fits, notes, rubbing, curve)
+
+
+def _slipping(
+    tested: Experiment, rubbing: Friction, curve: Characteristic | None, measured: Response
+) -> tuple[Experiment, bool]:
+    """``tested`` without friction, and whether without the play of a magnet that the ``curve`` shows, too.
+
+    The coil of that magnet is a pole of the model without zeros that is nearest to ``measured``.
+    """
+    apart = first_gains.without_play(rubbing, curve)
+    assert apart is not None
+    if apart is rubbing or curve is None or curve.shares is None or rubbing.presliding == 0.0:
+        return friction.without(tested, rubbing), False  # swings at its turns, or its overlap hides the play
+    try:
+        magnet = first_gains.magnet_of(rational.fit(measured, 3, 0, True).model, curve)
+    except ParameterError:
+        magnet = None
+    return friction.without(tested, apart, curve.shares.play, 0.0 if magnet is None else magnet.coil), True
+
+
+def _fits(request: Request, tested: Experiment, measured: Response) -> tuple[list[Fit], list[str]]:
+    """The second order for the estimates, then the model that stands for the valve if it is another; notes.
+
+    Without an order the response chooses. A second order that misses it then has a dead time too.
+    """
+    try:
+        second = _second(tested, measured, request.delayed)
+    except ParameterError as error:
+        if request.order is not None or request.delayed:
+            raise
+        try:
+            second = _second(tested, measured, True)
+        except ParameterError:
+            raise error from None
+    if request.order is None:
+        chosen, note = structure.beside(measured, second, request.delayed)
+        return ([second], [note]) if chosen is None else ([second, chosen], [])
+    if request.order == 2:
+        return [second], []
+    higher = rational.fit(measured, request.order, delayed=request.delayed)
+    rational.check_worth(higher)
+    return [second, higher], []
+
+
+def _second(tested: Experiment, measured: Response, delayed: bool) -> Fit:
+    """The second order. Raises ParameterError if it says nothing of the valve."""
+    try:
+        second = rational.fit(measured, 2, delayed=delayed)
+        experiment.check_travel(tested, second.model.static_gain)
+        rational.check_worth(second)
+    except ParameterError as error:
+        if not tested.feedback:
+            raise
+        raise ParameterError(
+            f"{tested.source} was recorded in closed loop ({tested.feedback}), which does not show the valve "
+            f"alone: {error}; record a stepped sine or sweep with controller open_loop"
+        ) from error
+    return second
+
+
+def _with_gains(
+    request: Request,
+    tested: Experiment,
+    measured: Response,
+    fits: list[Fit],
+    notes: list[str],
+    rubbing: Friction | None,
+    curve: Characteristic | None,
+) -> Identification:
+    """The valve with its first gains, and notes on what the tests do not show."""
+    second, best = fits[0], fits[-1]
+    estimates = theta.suggest(measured, second, best, tested.u_max)
+    readings = lvdt.observe(tested.position)
+    model, delay, late = first_gains.with_dead_time(measured, best)
+    gains = first_gains.first(
+        first_gains.KnownValve(
+            model=model,
+            delay=delay,
+            theta=estimates,
+            lvdt=readings,
+            period=measured.period,
+            u_max=tested.u_max,
+            friction=first_gains.without_play(rubbing, curve),
+            sensor_delay=request.sensor_delay,
+            magnet=first_gains.magnet_of(model, curve),
+        )
+    )
+    biased = [
+        f"the voltage came from {tested.feedback}, which feeds noise of the reading back: the response is "
+        "biased"
+    ]
+    vague = ["no 95 % bounds where fits miss more than noise: a stepped sine or a longer test tells more"]
+    return Identification(
+        source=tested.source,
+        measured=measured,
+        fits=tuple(fits),
+        theta=estimates,
+        lvdt=readings,
+        gains=gains.values,
+        u_max=tested.u_max,
+        notes=(
+            *(vague if not all(fit.bounded for fit in fits) else ()),
+            *tested.notes,
+            *measured.notes,
+            *notes,
+            *(biased if tested.feedback else ()),
+            *experiment.coherence_notes(measured),
+            *experiment.range_notes(measured, second, best),
+            *(() if curve is None else characteristic.notes(curve, tested.u_max)),
+            *late,
+            *dead_time.notes(delay, request.sensor_delay),
+            *gains.notes,
+        ),
+        friction=rubbing,
+        curve=curve,
+    )
