@@ -10,7 +10,6 @@ import pytest
 import rclpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recordings"))
-from bench import controller
 from made import PERIOD, Run, in_file_order, write
 
 from valve_control.nodes import playback
@@ -26,25 +25,12 @@ def run():
     return made
 
 
-@pytest.mark.parametrize("law", ["arc", "oarc"])
-def test_a_running_controller_gives_the_recorded_voltages_in_lockstep(tmp_path, law):
-    made = Run(controller={"controller": law, "lvdt.frozen_samples": 0, "lockstep": True})
-    made.move(1500)
-    bag = write(tmp_path / "bag", made.messages)
-    arguments = ["-p", f"controller:={law}", "-p", "lockstep:=true"]
-    with controller(tmp_path, *arguments):
-        result = playback.play(str(bag), [], None, 1.0, lockstep=True, quiet=True)
-    assert result.differing == 0 and np.array_equal(result.answers, made.voltages)
-
-
 @pytest.mark.alone
 def test_topics_are_published_at_their_times_and_faster(tmp_path, run):
     bag = write(tmp_path / "bag", run.messages)
     for rate in (1.0, 4.0):
         with process("recorder", ["-p", f"bag:={tmp_path / f'again_{rate}'}"], tmp_path / f"r_{rate}.log"):
-            result = playback.play(
-                str(bag), [], ["/spool_position", "/spool_command"], rate, False, quiet=True
-            )
+            result = playback.play(str(bag), [], ["/spool_position", "/spool_command"], rate, quiet=True)
         heard = again(tmp_path / f"again_{rate}")
         assert result.published == 1200
         assert np.array_equal(heard["/spool_position"], run.readings)
@@ -62,13 +48,13 @@ def test_a_table_is_published_in_volts(tmp_path, run):
     np.savetxt(log, rows, delimiter=";", header="t_ms;lvdt;wanted", comments="", fmt="%.17g")
     maps = ["time=t_ms*0.001", "spool_position=lvdt@4..20mA", "spool_command=wanted"]
     with process("recorder", ["-p", f"bag:={tmp_path / 'again'}"], tmp_path / "recorder.log"):
-        result = playback.play(str(log), maps, None, 1.0, False, quiet=True)
+        result = playback.play(str(log), maps, None, 1.0, quiet=True)
     heard = again(tmp_path / "again")
     assert result.published == 1200 and result.elapsed >= 0.599
     assert np.allclose(heard["/spool_position"], run.readings, rtol=0.0, atol=1e-12)
     assert np.array_equal(heard["/spool_command"], commands)
     with pytest.raises(BagError, match="is a table, which has no topics"):
-        playback.play(str(log), maps, ["/lvdt"], 1.0, False, quiet=True)
+        playback.play(str(log), maps, ["/lvdt"], 1.0, quiet=True)
 
 
 def test_messages_with_one_stamp_are_published_in_the_order_of_the_recording():
@@ -120,11 +106,11 @@ def test_nobody_who_listens_is_an_error(tmp_path, run, monkeypatch):
     monkeypatch.setattr(playback, "MEET", 0.3)
     bag = write(tmp_path / "bag", run.messages)
     with pytest.raises(BagError, match="nobody has listened to /spool_command"):
-        playback.play(str(bag), [], None, 1.0, False, quiet=True)
+        playback.play(str(bag), [], None, 1.0, quiet=True)
     assert not rclpy.ok()
 
 
 def test_a_topic_that_is_not_there_is_said():
     bag = Path(__file__).resolve().parents[1] / "data" / "bags" / "jazzy_mcap_drone_yaw"
     with pytest.raises(BagError, match="/nothing"):
-        playback.play(str(bag), [], ["/nothing"], 1.0, False, quiet=True)
+        playback.play(str(bag), [], ["/nothing"], 1.0, quiet=True)

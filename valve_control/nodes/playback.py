@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Plays a bag to running nodes: publishes the recorded topics at their times, or in lockstep."""
+"""Plays a bag to running nodes: publishes the recorded topics at their times."""
 
 import os
 import signal
@@ -13,11 +13,10 @@ import numpy as np
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from std_msgs.msg import Float64
 from tqdm import tqdm
 
 from valve_control.arrays import Integers
-from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
+from valve_control.nodes.adapter import SAMPLES, encoded
 from valve_control.nodes.definitions import message_class
 from valve_control.nodes.transport import check_log_folder
 from valve_control.recordings.bags.bag import Bag, Series
@@ -25,34 +24,21 @@ from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import FEW_STAMPS
 from valve_control.recordings.clocks import decide, without_strays
 from valve_control.recordings.mapping import PARTS, find_valves
-from valve_control.recordings.recording import ValveRecording, align, chosen, load
-from valve_control.recordings.stamps import fields, retimed
-from valve_control.recordings.ties import untied
+from valve_control.recordings.pairing import Samples, paired
+from valve_control.recordings.recording import load
 
 PLAYED = ("spool_command", "spool_position")
 MEET = 10.0  # s to wait for somebody who listens
 SETTLE = 0.5  # s in which discovery becomes mutual
-ANSWER = 5.0  # s to wait for a voltage in lockstep
-POLL = 2e-5  # s
 DRAIN = 0.2  # s at the end, for what is still on its way
 
 
 class Played(NamedTuple):
-    """What was published, how late, and in lockstep the voltages that came back."""
+    """What was published, and how late."""
 
     published: int
     elapsed: float  # s
     late: float  # s, p99 of the delay behind the recorded time
-    answers: list[float]  # V, lockstep: voltage to each reading
-    differing: int | None  # of them, from the recorded voltage, bit for bit
-
-
-class Stamps(NamedTuple):
-    """When the messages of a topic were sent, in order of time."""
-
-    time: Integers  # ns
-    sequence: Integers
-    place: Integers  # among all messages of the recording
 
 
 class Track(NamedTuple):
@@ -70,14 +56,12 @@ def play(
     maps: Sequence[str],
     topics: Sequence[str] | None,
     rate: float,
-    lockstep: bool,
     start: float | None = None,
     end: float | None = None,
-    of: str | None = None,
     quiet: bool = False,
     clock: str | None = None,
 ) -> Played:
-    """Publish a bag's topics at ``rate`` times the recorded speed, or in lockstep with valve ``of``.
+    """Publish a bag's topics at ``rate`` times the recorded speed.
 
     ``start``, ``end`` [s]: part of the bag. Raises BagError.
     """
@@ -88,10 +72,6 @@ def play(
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("player")
     try:
-        if lockstep:
-            return _in_lockstep(
-                node, chosen(path, load(path, maps, start, end, clock=clock).valves, of), quiet
-            )
         return _timed(node, path, maps, topics, rate, start, end, quiet, clock)
     finally:
         node.destroy_node()
@@ -149,7 +129,7 @@ def _timed(
         progress.update(due[-1] - progress.n)
     elapsed = time.monotonic() - began
     time.sleep(DRAIN)
-    return Played(len(due), elapsed, float(np.percentile(delays, 99)), [], None)
+    return Played(len(due), elapsed, float(np.percentile(delays, 99)))
 
 
 def in_turn(tracks: Sequence[Track]) -> tuple[Integers, Integers, Integers]:
@@ -185,15 +165,9 @@ def tracks_of(
     begin = bag.begin
     first = None if start is None else begin + round(start * 1e9)
     last = None if end is None else begin + round(end * 1e9)
-    stamped = fields(bag, topics, clock)
     notes: list[str] = []
-    if stamped:
-        series = without_strays(bag.read(stamped, raw=topics), notes)
-        series, ruling = retimed(series, stamped, decide(series, [topics], None, bag.path), topics)
-        series = _part({name: series[name] for name in topics}, start, end)
-    else:
-        series = without_strays(bag.read({}, raw=topics, start=first, end=last), notes)
-        ruling = decide(series, [topics], clock, bag.path)
+    series = without_strays(bag.read({}, raw=topics, start=first, end=last), notes)
+    ruling = decide(series, [topics], clock, bag.path)
     for note in (*notes, *ruling.notes):
         node.get_logger().warning(note)
     read = one_by_one(ruling.read(series), valves.values())
@@ -215,20 +189,18 @@ def one_by_one(read: Mapping[str, Series], valves: Iterable[Mapping[str, str]]) 
             for part, name in topics.items()
             if len(np.unique(read[name].publish_time)) >= FEW_STAMPS
         }
-        ties = untied({part: Stamps(s.publish_time, s.sequence, s.place) for part, s in series.items()})
+        signals = {
+            part: Samples(
+                topics[part], s.publish_time, s.log_time, s.sequence, s.place, np.empty(len(s.place))
+            )
+            for part, s in series.items()
+        }
+        ties = paired(signals)
         if ties is not None and ties.several:
             # Parts may be fields of one topic: then the position's time counts.
             for part, one in sorted(series.items(), key=lambda item: item[0] == "spool_position"):
                 found[topics[part]] = one._replace(publish_time=ties.times[part])
     return found
-
-
-def _part(series: dict[str, Series], start: float | None, end: float | None) -> dict[str, Series]:
-    """``series`` from ``start`` to ``end`` [s] after the first of all."""
-    begin = min(int(one.publish_time.min()) for one in series.values() if len(one.publish_time))
-    time = {name: (one.publish_time - begin) * 1e-9 for name, one in series.items()}
-    low, high = 0.0 if start is None else start, np.inf if end is None else end
-    return {name: one.pick((time[name] >= low) & (time[name] < high)) for name, one in series.items()}
 
 
 def _columns(
@@ -250,35 +222,3 @@ def _columns(
         for part in ("spool_command", "spool_position")
         if part in valve.signals
     ]
-
-
-def _in_lockstep(node: Node, valve: ValveRecording, quiet: bool) -> Played:
-    """Publish one command and one reading at a time; the next when the voltage has come."""
-    signals = align(valve)
-    command = node.create_publisher(Float64, f"{valve.topics.namespace}/spool_command", SAMPLES)
-    position = node.create_publisher(Float64, f"{valve.topics.namespace}/spool_position", SAMPLES)
-    voltages = NumberSubscription(node, f"{valve.topics.namespace}/valve_voltage", SAMPLES)
-    _meet({command.topic_name: command, position.topic_name: position})
-    for _ in voltages.take():
-        pass
-    answers: list[float] = []
-    began = time.monotonic()
-    pairs = zip(signals.command.tolist(), signals.measurement.tolist(), strict=True)
-    for wanted, reading in tqdm(
-        pairs, total=len(signals.time), desc="lockstep", unit=" samples", disable=quiet, mininterval=1.0,
-        ascii=not sys.stderr.isatty(),
-    ):  # fmt: skip
-        if np.isfinite(wanted):
-            command.publish(encoded(wanted))
-        position.publish(encoded(reading))
-        limit = time.monotonic() + ANSWER
-        while (taken := voltages.one()) is None:
-            if time.monotonic() > limit:
-                raise BagError(f"no voltage for reading {len(answers) + 1} within {ANSWER:g} s")
-            time.sleep(POLL)
-        answers.append(taken[0])
-    elapsed = time.monotonic() - began
-    recorded = signals.voltage
-    known = np.isfinite(recorded)
-    differing = int(np.count_nonzero(np.array(answers)[known] != recorded[known])) if known.any() else None
-    return Played(2 * len(answers), elapsed, 0.0, answers, differing)

@@ -18,7 +18,7 @@ from rosbags.interfaces import Qos
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.metadata import Counted, File, TopicMetadata
-from valve_control.recordings.bags.storage import PENDING, SqliteStorage, Storage
+from valve_control.recordings.bags.storage import PENDING, Definition, SqliteStorage, Storage
 
 COMPRESSIONS = ("none", "zstd", "lz4")
 SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}
@@ -104,7 +104,7 @@ class BagWriter:
         self._max_bytes = max_bytes
         self._max_span = round(max_seconds * 1e9)
         self._on_new_file = on_new_file
-        self._topics: dict[str, tuple[TopicMetadata, str]] = {}
+        self._topics: dict[str, tuple[TopicMetadata, Definition]] = {}
         self._totals: Counter[str] = Counter()  # of the finished files
         self._files: list[File] = []
         self._finished_bytes = 0
@@ -146,16 +146,17 @@ class BagWriter:
         return len(self._files) + (0 if self._closed else 1)
 
     def add_topic(
-        self, name: str, type_name: str, definition: str = "", type_hash: str = "", qos: Sequence[Qos] = ()
-    ) -> None:
-        """Add a topic; ``definition``: of its type in the form ros2msg, with the types that it needs."""
+        self, name: str, type_name: str, definition: str = "", type_hash: str = "", qos: Sequence[Qos] = (),
+        definition_format: str = "ros2msg",
+    ) -> None:  # fmt: skip
+        """Add a topic; ``definition``: of its type in this format, with the types that it needs."""
         self._check_open()
         if name in self._topics:
             raise BagError(f"{name} is in the bag {self.folder} already; a topic is added once")
         topic = TopicMetadata(name, type_name, "cdr", tuple(qos), type_hash)
-        self._topics[name] = (topic, definition)
+        self._topics[name] = (topic, Definition(definition_format if definition else "", definition))
         try:
-            self._storage.add_topic(topic, definition)
+            self._storage.add_topic(*self._topics[name])
         except (OSError, sqlite3.Error) as error:
             self._fail(error)
 
