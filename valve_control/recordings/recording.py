@@ -5,7 +5,7 @@
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ from valve_control.control.supervision.journal import Block, block
 from valve_control.control.supervision.state_snapshot import Account, account
 from valve_control.recordings import modes, parameters
 from valve_control.recordings.bags.bag import Bag, Series
-from valve_control.recordings.bags.cdr import UNDECODABLE, Decoder, jazzy
+from valve_control.recordings.bags.cdr import Decoder, deserialized
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import clean, seconds
 from valve_control.recordings.clocks import Clock, decide, of_table, without_strays
@@ -246,14 +246,13 @@ def nanoseconds(time: float, option: str) -> int:
 def _journal(notes: Series | None, problems: list[str]) -> list[Block]:
     if notes is None:
         return []
-    kind = jazzy().get_msgdef(STATE_TYPE)
-    blocks = []
+    blocks: list[Block] = []
     unreadable = 0
     for raw in notes.raw:
+        message = deserialized(raw, STATE_TYPE)
         try:
-            message: Any = kind.deserialize_cdr_le(raw[4:], 0, kind.cls, jazzy())[0]
             blocks.append(block(message.data))
-        except UNDECODABLE:
+        except (AttributeError, ValueError, IndexError):
             unreadable += 1
     if unreadable:
         problems.append(f"{unreadable} messages on ~/journal are no journal and are left out")

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes rosbag2 bags (Jazzy); what was flushed survives a kill of the process."""
 
-import fcntl
-import os
 import sqlite3
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -27,24 +25,6 @@ SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}
 def reason(error: Exception) -> str:
     """Message of the operating system or of SQLite."""
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
-
-
-class Lock:
-    """File lock on a bag's folder, held by the process that writes to the bag; it ends with the process."""
-
-    def __init__(self, folder: Path) -> None:
-        self._descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self.release()
-            raise BagError(f"{folder} is still being written; stop its recorder first") from None
-        except OSError:
-            pass  # some network file systems cannot lock a folder
-
-    def release(self) -> None:
-        """Release the lock."""
-        os.close(self._descriptor)
 
 
 def usual() -> str:
@@ -115,7 +95,6 @@ class BagWriter:
             raise BagError(f"{folder} exists already; a bag needs a new folder") from None
         except OSError as error:
             raise BagError(f"{folder} cannot be made: {reason(error)}") from error
-        self._lock = Lock(folder)
         self._rotating = False
         self._open_file()
         self._closed = False
@@ -202,10 +181,9 @@ class BagWriter:
                 self._storage.flush()
             with suppress(OSError, sqlite3.Error, BagError):
                 self._storage.abandon()
-            self._lock.release()
             raise BagError(
                 f"{self.path} was removed, moved or replaced while it was written, with {messages} messages "
-                "in it; nothing more is recorded (valve-control bag recover ends a file that was moved)"
+                "in it; nothing more is recorded (bag recover writes a finished copy of a moved file)"
             )
         return [file.path for file in self._files if not (self.folder / file.path).exists()]
 
@@ -220,10 +198,8 @@ class BagWriter:
         except OSError as error:
             raise BagError(
                 f"{self.folder / metadata.NAME} cannot be written: {reason(error)}; "
-                "the bag's other files are whole (valve-control bag recover writes it)"
+                "the bag's other files are whole (valve-control bag recover writes a copy with one)"
             ) from error
-        finally:
-            self._lock.release()
 
     def __enter__(self) -> Self:
         return self
@@ -263,7 +239,6 @@ class BagWriter:
             self._closed = True
             with suppress(OSError):
                 self._write_metadata()
-            self._lock.release()
             raise BagError(f"{path} cannot be begun: {reason(error)}") from error
 
         self._place = _identity(path)
@@ -308,8 +283,7 @@ class BagWriter:
             self._storage.abandon()
             self._write_metadata()
         except (OSError, sqlite3.Error, BagError):
-            end = "the bag has no end (valve-control bag recover gives it one where there is room)"
-        self._lock.release()
+            end = "the bag has no end (valve-control bag recover writes a finished copy)"
         messages = self._totals.total()
         raise BagError(
             f"{path} cannot be written any further: {reason(error)}; {end}, with {messages} messages"
