@@ -91,7 +91,7 @@ test: $(STAMP)  ## the tests, without those of the campaign
 	$(call tests,not campaign and not browser); \
 	$(verdict)
 
-campaign: $(STAMP)  ## the longer tests: faults, damaged bags, joiners, the dashboard in Chromium (CAMPAIGN=full: more of each)
+campaign: $(STAMP)  ## the longer tests: faults, joiners, the dashboard in Chromium (CAMPAIGN=full: more of each)
 	@$(call tests,campaign); \
 	part test/nodes/test_dashboard_browser.py --reruns 1 -m browser; \
 	$(verdict)

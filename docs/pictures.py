@@ -532,17 +532,16 @@ def what_if(path: Path) -> None:
 
 @picture
 def recovered(path: Path) -> None:
-    """The readings of a damaged bag that recover has saved."""
+    """The readings of a bag with two damaged chunks that recover has saved."""
     my_recording()
     shutil.copytree("first_run", "damaged", dirs_exist_ok=True)
     file = next(Path("damaged").glob("*.mcap"))
     data = bytearray(file.read_bytes())
     for part in (0.35, 0.6):
-        start = int(part * len(data))
-        data[start : start + 100_000] = bytes(100_000)
+        data[int(part * len(data))] ^= 0xFF
     file.write_bytes(data)
     valve_control("bag", "recover", "damaged")
-    valve_control("analyze", "damaged", "--csv", "saved.csv")
+    valve_control("analyze", "damaged_recovered", "--csv", "saved.csv")
     whole, saved = columns("analysed.csv"), columns("saved.csv")
     figure, (axis,) = axes(1, 3.4)
     axis.plot(whole["time_s"], whole["measurement_V"], color="silver", lw=3.0, label="recorded")
@@ -552,7 +551,7 @@ def recovered(path: Path) -> None:
     lost = whole["time_s"][~stamps]
     if len(lost) == 0:
         raise ValueError("nothing was lost; damage more of the bag")
-    axis.set(xlim=(lost[0] - 1.0, lost[-1] + 1.0), title=f"two damaged places, {len(lost)} readings lost")
+    axis.set(xlim=(lost[0] - 1.0, lost[-1] + 1.0), title=f"two damaged chunks, {len(lost)} readings lost")
     axis.set(ylabel="spool_position [V]", xlabel="time [s]")
     axis.legend(fontsize="small", loc="lower right")
     save(figure, path)

@@ -106,7 +106,7 @@ def test_the_signals_of_a_bag_as_a_table_are_the_bag(run, bags, tmp_path):
     log = tmp_path / "log.csv"
     assert run("analyze", bags / "arc", "--csv", log, "--to", "1.1").status == 0
     parts = ("spool_command=command_V", "spool_position=measurement_V", "valve_voltage=voltage_V")
-    maps = [word for part in parts for word in ("--map", part.replace("=", "=log.csv:"))]
+    maps = [word for part in parts for word in ("--map", part)]
     done = run("analyze", log, *maps)
     assert done.status == 0 and "log.csv: csv, " in done.out and "0 s by column time_s" in done.out, done.err
     done = run("replay", log, *maps, "--json", "-")
@@ -118,7 +118,7 @@ def test_the_signals_of_a_bag_as_a_table_are_the_bag(run, bags, tmp_path):
     assert table["shift_s"] == pytest.approx(0.0, abs=1e-3) and bag["name"] == "oarc", done.err
     assert table["indices"]["e_rms"] == pytest.approx(bag["indices"]["e_rms"], rel=1e-12)
     done = run("bag", "recover", log)
-    assert done.status == 2 and "is not of a bag" in done.err
+    assert done.status == 2 and "is a table" in done.err
 
 
 def test_compare_lays_the_motions_over_each_other(run, tmp_path):
@@ -141,39 +141,29 @@ def test_compare_lays_the_motions_over_each_other(run, tmp_path):
     assert "safe 0.0" in done.out and "only ok" in done.out
     assert late["indices_only_ok"]["e_rms"] != late["indices"]["e_rms"]
     page = (tmp_path / "c.html").read_text()
-    assert "late: moved by -0.9" in page and '"yref":"y2 domain"' in page
+    assert "late: moved by -0.9" in page
 
 
 def test_recover_says_what_it_did(run, bags, tmp_path):
     shutil.copytree(bags / "arc", tmp_path / "bag")
     done = run("bag", "recover", tmp_path / "bag")
-    assert done.status == 0 and "nothing was done" in done.out
-    file = next((tmp_path / "bag").glob("*.mcap"))
-    file.write_bytes(file.read_bytes()[:-700])
+    assert done.status == 0 and "nothing was written" in done.out
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-700])
     (tmp_path / "bag" / "metadata.yaml").unlink()
     torn = run("analyze", tmp_path / "bag")
     assert torn.status == 0 and "unfinished" in torn.out and "bag recover" in torn.out
     done = run("bag", "recover", tmp_path / "bag", "--json", tmp_path / "r.json")
-    assert done.status == 0 and "is whole again" in done.out, done.err
-    assert json.loads((tmp_path / "r.json").read_text())["done"] is True
-    repaired = run("analyze", tmp_path / "bag")
-    assert repaired.status == 0 and "unfinished" not in repaired.out
-
-
-def test_recover_says_what_was_lost(run, bags, tmp_path):
-    shutil.copytree(bags / "arc", tmp_path / "bag")
-    (file,) = (tmp_path / "bag").glob("*.mcap")
-    data = file.read_bytes()
-    file.write_bytes(data[:50_000] + data[90_000:])
-    done = run("bag", "recover", tmp_path / "bag", "--json", tmp_path / "r.json")
-    assert done.status == 0 and "can be read again" in done.out, done.out + done.err
     about = json.loads((tmp_path / "r.json").read_text())
-    assert about["lost"] > 0 and f"{about['lost']} messages lost" in done.out
-    assert f"kept as {file.name}.damaged" in done.out
+    copy = tmp_path / "bag_recovered"
+    assert done.status == 0 and f"wrote {copy}: {about['messages']} messages" in done.out, done.err
+    repaired = run("analyze", copy)
+    assert repaired.status == 0 and "unfinished" not in repaired.out
+    assert file.read_bytes() == whole[:-700]
     file.write_bytes(b"")
     done = run("bag", "recover", tmp_path / "bag")
-    assert done.status == 1 and "not one byte in it" in done.out
-    assert "holds no message; nothing could be recovered" in done.out and "whole" not in done.out
+    assert done.status == 2 and "is empty" in done.err
 
 
 def test_a_real_bag_with_a_mapped_field(run, tmp_path):
@@ -212,7 +202,7 @@ def test_a_real_bag_with_a_mapped_field(run, tmp_path):
         (["compare", "{arc}", "nothing"], ["nothing"]),
         (["compare", "{arc}", "--seed", "3"], ["--seed", "simulation"]),
         (["compare", "--html", "x.html"], ["--html", "bags"]),
-        (["bag", "recover", "nothing"], ["nothing", "exist"]),
+        (["bag", "recover", "nothing"], ["there is no bag nothing"]),
         (["bag", "recover", REAL / "README.md"], ["README.md"]),
     ],
 )  # fmt: skip

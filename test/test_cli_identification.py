@@ -140,7 +140,7 @@ def test_stepped_sine_in_a_bag_with_and_without_parameters(run, tmp_path):
     milliampere = np.column_stack([(np.array(made.readings) + 15.0) / 1.25, made.voltages])
     np.savetxt(tmp_path / "log.csv", milliampere, delimiter=";", header="lvdt_mA;u", comments="")
     maps = {
-        "log.csv": ["time=row*0.001", "spool_position=log.csv:lvdt_mA*1.25-15", "valve_voltage=u"],
+        "log.csv": ["time=row*0.001", "spool_position=lvdt_mA*1.25-15", "valve_voltage=u"],
     }
     for name in ("told", "bare", "log.csv"):
         mapped = [word for text in maps.get(name, []) for word in ("--map", text)]

@@ -146,25 +146,6 @@ def test_mcap_files_of_the_mcap_library(tmp_path, compression, chunked, summary)
     assert np.array_equal(series.log_time - series.publish_time, np.full(2000, 7))
 
 
-def test_a_sparse_topic_is_thinned_whatever_the_length_of_its_blocks(tmp_path, monkeypatch):
-    """In chunks of one message, as of a recorder that flushes each, all messages were kept."""
-    monkeypatch.setattr("valve_control.recordings.bags.bag.MANY", 100)
-    path = tmp_path / "a.mcap"
-    with path.open("wb") as stream:
-        writer = LibraryWriter(stream, chunk_size=1)
-        writer.start("ros2")
-        channel = writer.register_channel(
-            "/x", "cdr", writer.register_schema(FLOAT, "ros2msg", b"float64 data")
-        )
-        for k in range(1000):
-            writer.add_message(channel, 10**9 + k, number(float(k)), 10**9 + k, k + 1)
-        writer.finish()
-    series = Bag(path).read({"/x": ["data"]}, sparse=["/x"])["/x"]
-    values = series.values["data"]
-    assert 50 <= len(values) <= 101 and np.array_equal(values, np.arange(0.0, 1000.0, 16.0))
-    assert np.array_equal(series.log_time - 10**9, values)
-
-
 def test_mcap_cut_at_any_byte_gives_all_whole_chunks(tmp_path):
     whole = tmp_path / "whole.mcap"
     ends = []
@@ -182,7 +163,7 @@ def test_mcap_cut_at_any_byte_gives_all_whole_chunks(tmp_path):
         writer.finish()
     data = whole.read_bytes()
     draw = random.Random(1)
-    for cut in draw.sample(range(ends[0], len(data) - 8), 150):
+    for cut in draw.sample(range(ends[0], len(data) - 8), 30):
         torn = tmp_path / "torn.mcap"
         torn.write_bytes(data[:cut])
         bag = Bag(torn)
@@ -248,7 +229,7 @@ def test_damaged_files_never_do_more_than_raise_bag_error(tmp_path):
     for storage in ("m", "s"):
         file = next(p for p in (tmp_path / storage).iterdir() if p.suffix in (".mcap", ".db3"))
         data = file.read_bytes()
-        for _ in range(150):
+        for _ in range(60):
             broken = bytearray(data)
             for _ in range(draw.randrange(1, 6)):
                 broken[draw.randrange(len(broken))] = draw.randrange(256)

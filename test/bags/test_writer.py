@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags that the libraries of others read back."""
 
-import os
 import sqlite3
 import subprocess
 import sys
 import tempfile
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
@@ -19,8 +20,8 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from valve_control.recordings.bags import metadata
+from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.recover import recover
 from valve_control.recordings.bags.writer import BagWriter
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -78,6 +79,20 @@ def read_sqlite(path):
         ).fetchall()
 
 
+def listed(folder):
+    """Files of metadata.yaml: name, begin [ns], duration [ns], number of messages."""
+    files = yaml.safe_load((folder / metadata.NAME).read_text())[metadata.ROOT]["files"]
+    return [
+        metadata.File(
+            file["path"],
+            file["starting_time"]["nanoseconds_since_epoch"],
+            file["duration"]["nanoseconds"],
+            file["message_count"],
+        )
+        for file in files
+    ]
+
+
 def read(path):
     return read_mcap(path) if path.suffix == ".mcap" else read_sqlite(path)
 
@@ -133,34 +148,17 @@ def test_mcap_is_what_rosbag2_writes(tmp_path, compression):
     assert (schema.name, schema.encoding, schema.data.decode()) == (FLOAT, "ros2msg", DEFINITION)
     for channel in summary.channels.values():
         assert channel.message_encoding == "cdr" and channel.metadata["topic_type_hash"] == HASH
-        assert metadata.parse_qos(channel.metadata["offered_qos_profiles"])[0] == QOS
+        assert metadata.profiles(channel.metadata["offered_qos_profiles"])[0] == QOS
     assert record.name == "rosbag2" and "message_count: 500" in record.metadata["serialized_metadata"]
-
-
-def test_metadata_is_of_version_9_and_comes_back(tmp_path):
-    with opened(tmp_path / "bag") as writer:
-        fill(writer, 10)
-    got = metadata.read(tmp_path / "bag")
-    assert got.version == 9 and got.ros_distro == "jazzy" and got.storage_identifier == "mcap"
-    assert (got.starting_time, got.duration, got.message_count) == (EPOCH, 9 * MS, 10)
-    assert [(t.topic.name, t.message_count) for t in got.topics] == [
-        ("/spool_position", 10),
-        ("/valve_voltage", 0),
-    ]
-    assert got.topics[1].topic.offered_qos_profiles == (QOS, USUAL)
-    assert got.files == (metadata.File("bag_0.mcap", EPOCH, 9 * MS, 10),)
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("version: 9", "version: 12"), "is of version 12; versions up to 9 are known"),
-        (("message_count: 10", "message_number: 10"), "'message_count' is missing"),
-        (("message_count: 10", "message_count: ten"), "'message_count' is 'ten'; it must be a whole number"),
-        (("history: keep_last", "history: [keep_last"), "is not YAML"),
-        (("  version: 9", "  - version: 9"), "is not YAML"),
-        (("  version: 9", "  version: !!bool 9"), "is not YAML"),
-        (("rosbag2_bagfile_information", "information"), "'rosbag2_bagfile_information' is missing"),
+        (("message_count: 10", "message_number: 10"), "message_count"),
+        (("message_count: 10", "message_count: ten"), "ten"),
+        (("history: keep_last", "history: [keep_last"), "does not describe a bag"),
+        (("rosbag2_bagfile_information", "information"), "rosbag2_bagfile_information"),
     ],
 )
 def test_bad_metadata_is_one_sentence(tmp_path, change, words):
@@ -173,42 +171,22 @@ def test_bad_metadata_is_one_sentence(tmp_path, change, words):
     assert words in str(error.value) and str(path) in str(error.value) and "\n" not in str(error.value)
 
 
-def test_metadata_of_older_versions(tmp_path):
-    """What rosbag2 of Foxy (3 and 4) and Humble (5) wrote."""
-    (tmp_path / metadata.NAME).write_text(
-        """rosbag2_bagfile_information:
-  version: 4
-  storage_identifier: sqlite3
-  relative_file_paths:
-    - bag/bag_0.db3
-  duration:
-    nanoseconds: 5
-  starting_time:
-    nanoseconds_since_epoch: 1700000000000000000
+@pytest.mark.parametrize(
+    ("version", "lines"), [(4, ["  compression_mode: FILE", "  compression_format: zstd"]), (1, [])]
+)
+def test_metadata_of_older_versions(tmp_path, version, lines):
+    """What rosbag2 of Foxy (4) and Crystal (1) wrote."""
+    text = f"""rosbag2_bagfile_information:
+  version: {version}
+  relative_file_paths: [bag/bag_0.db3]
   message_count: 2
   topics_with_message_count:
-    - topic_metadata:
-        name: /x
-        type: std_msgs/msg/Float64
-        serialization_format: cdr
-        offered_qos_profiles: "- history: 3\\n  depth: 0\\n  reliability: 1\\n  durability: 2\\n  \
-deadline:\\n    sec: 2147483647\\n    nsec: 4294967295\\n  lifespan:\\n    sec: 2147483647\\n    \
-nsec: 4294967295\\n  liveliness: 1\\n  liveliness_lease_duration:\\n    sec: 2147483647\\n    \
-nsec: 4294967295\\n  avoid_ros_namespace_conventions: false"
+    - topic_metadata: {{name: x, type: std_msgs/msg/Float64, serialization_format: other}}
       message_count: 2
-  compression_format: ""
-  compression_mode: ""
 """
-    )
-    got = metadata.read(tmp_path)
-    assert got.version == 4 and got.files == () and got.relative_file_paths == ("bag_0.db3",)
-    (qos,) = got.topics[0].topic.offered_qos_profiles
-    assert qos[0] is QosHistory.UNKNOWN and qos[2:4] == (QosReliability.RELIABLE, QosDurability.VOLATILE)
-    text = (tmp_path / metadata.NAME).read_text()
-    lines = text.replace("version: 4", "version: 1").splitlines()
-    old = [line for line in lines if "compression" not in line and "offered" not in line]
-    (tmp_path / metadata.NAME).write_text("\n".join(old))
-    assert metadata.read(tmp_path).topics[0].topic.offered_qos_profiles == ()
+    (tmp_path / metadata.NAME).write_text(text + "\n".join(lines))
+    compression = "file" if lines else ""
+    assert metadata.read(tmp_path) == (version, "", compression, 2, ("bag_0.db3",), {"/x": "other"})
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -221,11 +199,11 @@ def test_each_file_of_a_rotation_is_whole_by_itself(tmp_path, storage, limit):
         fill(writer, 50, 50 * k)
         writer.flush()
     writer.close()
-    got = metadata.read(folder)
-    names = [file.path for file in got.files]
+    files = listed(folder)
+    names = [file.path for file in files]
     assert len(names) > 3 and begun == names[1:]
     messages = []
-    for file in got.files:
+    for file in files:
         alone = read(folder / file.path)
         assert len(alone) == file.message_count
         assert alone[0][1] == file.starting_time and alone[-1][1] == file.starting_time + file.duration
@@ -246,9 +224,7 @@ def test_a_recording_may_begin_at_zero(tmp_path, storage):
     with opened(tmp_path / "bag", storage=storage, max_seconds=1.0) as writer:
         for k in range(4):
             writer.write("/spool_position", k * 500 * MS, k * 500 * MS, k + 1, volts(0.0))
-    made = metadata.read(tmp_path / "bag")
-    assert (made.starting_time, made.duration) == (0, 1500 * MS)
-    assert [(file.starting_time, file.message_count) for file in made.files] == [(0, 2), (1000 * MS, 2)]
+    assert [file[1:] for file in listed(tmp_path / "bag")] == [(0, 500 * MS, 2), (1000 * MS, 500 * MS, 2)]
 
 
 def test_a_file_that_took_the_place_of_ours_is_left_alone(tmp_path):
@@ -261,7 +237,8 @@ def test_a_file_that_took_the_place_of_ours_is_left_alone(tmp_path):
     with pytest.raises(BagError, match="replaced"):
         writer.missing()
     assert writer.path.read_bytes() == b""
-    assert recover(tmp_path / "moved.mcap").messages == 10
+    with closing(Bag(tmp_path / "moved.mcap")) as bag:
+        assert len(bag.read({}, raw=["/spool_position"])["/spool_position"].log_time) == 10
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -345,7 +322,7 @@ def test_any_messages_come_back(messages, storage, flushes):
                 writer.write(*message)
                 if k % flushes == 0:
                     writer.flush()
-        (file,) = metadata.read(folder).files
+        (file,) = listed(folder)
         assert sorted(read(folder / file.path)) == sorted(messages)
         times = [m[1] for m in messages] or [0]
         assert (file.starting_time, file.duration) == (min(times), max(times) - min(times))
@@ -363,9 +340,9 @@ limit = int(sys.argv[3])
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 try:
     for k in range(1000):
-        fill(writer, 100, 100 * k)
+        fill(writer, 1000, 1000 * k)
         writer.flush()
-        print(100 * (k + 1), flush=True)
+        print(1000 * (k + 1), flush=True)
 except BagError as error:
     print(error, file=sys.stderr)
     sys.exit(1)
@@ -373,8 +350,8 @@ except BagError as error:
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-@pytest.mark.parametrize("limit", [100_000, 150_001, 200_002, 300_003, 1_000_004])
-def test_a_file_that_may_not_grow_is_closed_whole(tmp_path, storage, limit):
+@pytest.mark.parametrize("limit", [150_001, 300_003, 1_000_004])
+def test_a_file_that_may_not_grow_is_closed(tmp_path, storage, limit):
     """EFBIG: all that was flushed before can be read by others, and the error is one sentence."""
     folder = tmp_path / "bag"
     done = subprocess.run(
@@ -389,31 +366,8 @@ def test_a_file_that_may_not_grow_is_closed_whole(tmp_path, storage, limit):
     assert "bag_0" in sentence and "cannot be written any further" in sentence
     flushed = int(done.stdout.split()[-1])
     assert "the bag is closed and whole" in sentence and f"with {flushed} messages" in sentence, sentence
-    (file,) = metadata.read(folder).files
+    (file,) = listed(folder)
     assert [m[3] for m in read(folder / file.path)] == list(range(1, flushed + 1))
     with Reader(folder) as reader:
         assert reader.message_count == flushed == len(list(reader.messages()))
     assert {p.name for p in folder.iterdir()} == {file.path, metadata.NAME}
-
-
-COMPILED = """
-import resource
-import numpy as np
-from valve_control.recordings.bags.mcap import records
-
-resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
-print(records(np.zeros(100, np.uint8), 0, 100)[0])
-"""
-
-
-def test_a_full_disk_does_not_keep_functions_from_being_compiled(tmp_path):
-    """The recorder compiles the walk over its file when it ends a bag that found no room."""
-    done = subprocess.run(
-        [sys.executable, "-c", COMPILED],
-        env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert (done.returncode, done.stdout) == (0, "99\n"), done.stderr

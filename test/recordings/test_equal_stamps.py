@@ -2,15 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stamps that many messages share, as those of a simulated clock: pairs by order, and what is not told."""
 
-import json
-
 import numpy as np
 import pytest
 from made import BEGIN, FLOAT, PERIOD, Message, Run, in_file_order, number, write
 
 from valve_control.cli.command import run as main
-from valve_control.design.identification import recorded
-from valve_control.recordings import shadow
 from valve_control.recordings.analysis import analyze, as_dict
 from valve_control.recordings.recording import align, load
 
@@ -58,7 +54,6 @@ def check(bag, true, resolution, voltages=True):
         if voltages or name not in ("u_rms", "c_u"):
             assert valve["indices"][name] == pytest.approx(value, rel=0.03), name
     assert valve["lvdt_period"]["measured_s"] == pytest.approx(1e-3, rel=0.01)
-    assert valve["lvdt_period"]["other_rates"] == []
     for timing in valve["timing"].values():
         assert timing["rate_hz"] == pytest.approx(1000.0, rel=0.01)
         assert timing["gaps"] is None and np.isnan(timing["longest_gap_s"])
@@ -70,7 +65,7 @@ def check(bag, true, resolution, voltages=True):
 
 @pytest.mark.parametrize("numbered", [True, False])
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-@pytest.mark.parametrize(("resolution", "phase"), [(10, 0.0), (10, 3.4), (4, 0.15), (50, 0.0), (2, 0.0)])
+@pytest.mark.parametrize(("resolution", "phase"), [(10, 0.0), (4, 0.15), (50, 0.0)])
 def test_a_clock_of_ten_ms_moves_no_figure(run, true, tmp_path, resolution, phase, storage, numbered):
     """Before: e_rms 0.029 for 0.018, c_u 0.06 for 0.18, and nearly no reading answered."""
     messages = coarse(run.messages, resolution * MS, phase=round(phase * MS), numbered=numbered)
@@ -79,18 +74,6 @@ def test_a_clock_of_ten_ms_moves_no_figure(run, true, tmp_path, resolution, phas
     assert np.array_equal(signals.measurement, run.readings)
     assert np.array_equal(signals.voltage, run.voltages)
     assert np.all(np.diff(signals.time) > 0.0)
-
-
-def test_two_bags_are_compared_and_laid_over_each_other(run, tmp_path, capsys):
-    """The same run with the stamps of a clock of 10 ms: the same indices, a shift of a stamp at most."""
-    true = write(tmp_path / "true", run.messages)
-    bag = in_file_order(tmp_path / "coarse", coarse(run.messages, 10 * MS))
-    assert main(["compare", str(true), str(bag), "--json", "-"]) == 0
-    first, second = json.loads(capsys.readouterr().out)["runs"]
-    assert abs(second["shift_s"]) <= 0.01
-    for name, value in first["indices"].items():
-        assert second["indices"][name] == pytest.approx(value, rel=0.03), name
-    assert any("resolution of 10 ms" in text for text in second["left_out"])
 
 
 @pytest.mark.parametrize("resolution", [10, 4])
@@ -113,7 +96,7 @@ def test_the_clock_with_the_finer_stamps_is_taken(run, true, tmp_path, clock, us
     bag = in_file_order(tmp_path / "bag", coarse(run.messages, 10 * MS, clocks=(clock,)))
     loaded = load(bag)
     assert loaded.clock.name == used
-    assert (clock == "log_time") or any("resolution of 10 ms" in text for text in loaded.problems)
+    assert (clock == "log_time") or any("shared by messages" in text for text in loaded.problems)
     valve = as_dict(analyze(loaded))["valves"]["valve"]
     assert valve["indices"]["e_rms"] == pytest.approx(true["valves"]["valve"]["indices"]["e_rms"], rel=0.02)
     if used == "log_time":  # in which voltages come before the readings that they answer
@@ -150,19 +133,6 @@ def test_lost_readings_and_a_pause_are_found_by_number(run, tmp_path):
     assert np.max(np.abs(signals.stamp - expected)) < 12 * MS
 
 
-def test_identify_and_shadow_without_a_journal_take_the_same_pairs(run, tmp_path):
-    """A shadow gives the recorded voltages nearly always, which needs each command in its own sample."""
-    plain = [m for m in run.messages if not m.topic.startswith("/controller/")]
-    loaded = load(in_file_order(tmp_path / "bag", coarse(plain, 10 * MS)))
-    valve = loaded.valves["valve"]
-    found = recorded.recorded(loaded, valve)
-    assert found.period == pytest.approx(1e-3, rel=0.01)
-    assert any("resolution of 10 ms" in note for note in found.notes)
-    replayed = shadow.replay(valve, {})
-    usual = shadow.replay(load(write(tmp_path / "usual", plain)).valves["valve"], {})
-    assert replayed.differing <= usual.differing + 20
-
-
 def test_stamps_of_their_own_are_left_as_they_are(run, true, tmp_path):
     """A topic of 100 Hz beside readings of 1 kHz, both exact to the period: not one note."""
     messages = [
@@ -187,7 +157,7 @@ def test_commands_slower_than_the_readings_are_placed_by_the_file_or_not_at_all(
     bag = in_file_order(tmp_path / "bag", grouped(messages) if by_topic else messages)
     result = analyze(load(bag)).valves["valve"]
     found = result.parts[0].indices
-    assert any("errors are not told" in text for text in result.left_out) == by_topic
+    assert any("it is left out" in text for text in result.left_out) == by_topic
     assert found.c_u == pytest.approx(right.c_u, rel=0.03)
     if by_topic:
         assert np.isnan([found.e_M, found.e_F, found.e_rms]).all()

@@ -157,7 +157,7 @@ def test_a_recorder_whose_clock_is_set_back_keeps_one_part_of_all_signals(run, t
     result, notes = said(tmp_path / "bag")
     text = " ".join(notes)
     for topic in ("/spool_command", "/spool_position", "/valve_voltage"):
-        assert f"time goes backwards on {topic} 1 time(s); only part 1" in text
+        assert f"time goes backwards on /spool_position 1 time(s); only part 1 of {topic}" in text
     signals = result.valves["valve"].signals
     assert 1190 <= len(signals.time) <= 1200
     assert np.array_equal(signals.measurement, run.readings[: len(signals.time)])
@@ -194,25 +194,7 @@ def test_a_busy_recorder_is_not_taken_for_clocks_that_differ(run, tmp_path):
     assert notes == []
     expected = analyze(load(write(tmp_path / "right", run.messages))).valves["valve"].parts[0].indices
     assert result.valves["valve"].parts[0].indices == expected
-    assert as_dict(result)["valves"]["valve"]["lvdt_period"]["other_rates"] == []
-
-
-@pytest.mark.parametrize("periods", [0, 1, 2, 5])
-def test_answers_that_take_longer_than_a_period_are_matched_by_the_state(tmp_path, periods):
-    made = Run()
-    made.move(1000)
-    late = periods * 1_000_000
-    messages = [
-        m._replace(time=m.time + late, log_time=m.log_time + late)
-        if m.topic in ("/valve_voltage", "/controller/state")
-        else m
-        for m in made.messages
-    ]
-    signals = align(load(write(tmp_path / "bag", messages)).valves["valve"])
-    assert signals.latency.min() >= periods * 1e-3 and signals.latency.max() <= periods * 1e-3 + 0.3e-3
-    n = len(signals.time) - periods
-    first = made.readings.index(signals.measurement[0])
-    assert np.array_equal(signals.voltage[:n], made.voltages[first : first + n])
+    assert as_dict(result)["valves"]["valve"]["lvdt_period"]["deviation"] == pytest.approx(0.0, abs=0.02)
 
 
 def test_what_is_known_of_the_nodes_counts_from_the_beginning(run, tmp_path):
@@ -268,24 +250,6 @@ def test_a_little_disorder_is_sorted(run, tmp_path):
     )
     result, notes = said(write(tmp_path / "bag", messages))
     assert "out of order" in " ".join(notes)
-    assert np.array_equal(result.valves["valve"].signals.measurement, run.readings)
-
-
-def test_two_publishers_are_told_apart_by_their_numbers(run, tmp_path):
-    other = [
-        m._replace(
-            sequence=m.sequence + 50_000,
-            time=m.time + 400_000,
-            log_time=m.log_time + 400_000,
-            data=number(9.0),
-        )
-        for m in run.messages
-        if m.topic == "/spool_position"
-    ][:700]
-    result, notes = said(write(tmp_path / "bag", [*run.messages, *other]))
-    assert "2 publishers are interleaved on /spool_position" in " ".join(
-        notes
-    ) and "2000 of 2700" in " ".join(notes)
     assert np.array_equal(result.valves["valve"].signals.measurement, run.readings)
 
 

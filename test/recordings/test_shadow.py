@@ -428,7 +428,7 @@ def test_the_chatter_of_a_recording_with_gaps_is_that_of_its_steps():
     recorded = np.array([1.0, 2.0, np.nan, np.nan, 9.0, 8.0])
     voltage = np.array([1.0, 2.0, 1.0, 2.0, 1.0, 2.0])
     result = shadow.Shadow(time, "arc", voltage, voltage, recorded, voltage, False, [])
-    about = replay_report.shadow_dict(result, "bag", "valve")
+    about = replay_report.of_shadow(result, "bag", "valve").about
     assert about["recorded"]["c_u"] == pytest.approx(1.0 / about["recorded"]["u_rms"])
     assert about["recorded"]["max"] == 9.0 and about["compared"] == 4
 

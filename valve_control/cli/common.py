@@ -119,9 +119,9 @@ def clock_option(group: Any) -> None:
     """Add --clock."""
     group.add_argument(
         "--clock",
-        choices=("log", "publish", "header", "/clock"),
-        help="clock of the times: log_time (of recording), publish_time (of sending; the default where it "
-        "is fit for all signals), stamps in the headers of messages, or the simulated time on /clock",
+        choices=("log", "publish"),
+        help="clock of the times: log_time (of recording) or publish_time (of sending; the default where it "
+        "is fit for all signals)",
     )
 
 

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from valve_control.recordings.analysis import ValveAnalysis
     from valve_control.recordings.axis_analysis import Axis
     from valve_control.recordings.bags.bag import Bag
-    from valve_control.recordings.bags.recover import RecoveredFile
     from valve_control.recordings.recording import Recording
+    from valve_control.recordings.replay_report import Report
 
 SHOW_PROGRESS = 20_000_000  # bytes of a bag from which on reading it shows progress
 
@@ -52,7 +52,7 @@ def _bag_options() -> Parser:
         "as spool_position=/joint_states.position[0]*250 (volts per unit after *, with an "
         "offset *1.25-15; or one of the words @%%, @0..10V, @4..20mA); boom/spool_position=... for a valve "
         "named boom; of a table: spool_position=COLUMN*1.25-15, time=COLUMN*0.001 in seconds or "
-        "time=row*0.001 at 1 kHz, and FILE:COLUMN if several are read; again for more",
+        "time=row*0.001 at 1 kHz; again for more",
     )
     group.add_argument(
         "--from", dest="start", type=float, metavar="S", help="begin S seconds after the bag's beginning"
@@ -89,16 +89,16 @@ def add_commands(commands: Any) -> None:
     )
     analyze.set_defaults(run=_analyze)
     _add_replay(commands, shared)
-    bag = commands.add_parser("bag", help="repair a bag", description="Repair a bag.")
+    bag = commands.add_parser("bag", help="finish a bag", description="Finish a bag.")
     tasks = bag.add_subparsers(dest="bag_task", required=True, metavar="TASK")
     recover = tasks.add_parser(
         "recover",
-        help="repair an unfinished or damaged bag",
-        description="Repair a bag in place, such as that of a killed recorder: complete its files and "
-        "write metadata.yaml again.",
+        help="write a finished copy of an unfinished or damaged bag",
+        description="Copy all that can be read of a bag, such as that of a killed recorder, into a new, "
+        "finished bag. The bag itself stays as it is.",
     )
     recover.add_argument("bag", metavar="BAG", help="folder of the bag, or one file")
-    recover.add_argument("--out", metavar="FOLDER", help="repair a copy in this folder instead")
+    recover.add_argument("--out", metavar="FOLDER", help="new bag (default: BAG_recovered)")
     recover.add_argument("--json", metavar="FILE", help="report as JSON; - for standard output alone")
     recover.set_defaults(run=_recover)
 
@@ -141,7 +141,7 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
 # Reading
 
 
-def _told(bag: "Bag") -> Callable[[int], None]:
+def _progress(bag: "Bag") -> Callable[[int], None]:
     """Function that prints the progress over the bytes of ``bag`` on standard error."""
     from tqdm import tqdm
 
@@ -155,12 +155,12 @@ def _told(bag: "Bag") -> Callable[[int], None]:
         mininterval=0.1 if sys.stderr.isatty() else 2.0,
     )
 
-    def told(count: int) -> None:
+    def update(count: int) -> None:
         progress.update(count)
         if progress.n >= progress.total:
             progress.close()
 
-    return told
+    return update
 
 
 def _load(arguments: argparse.Namespace, path: str, journals: bool = False) -> "Recording":
@@ -170,7 +170,7 @@ def _load(arguments: argparse.Namespace, path: str, journals: bool = False) -> "
     if start is not None and end is not None and end <= start:
         raise ParameterError(f"--to {end:g} lies not after --from {start:g}")
     maps = tables.maps_of(path, arguments.map, getattr(arguments, "bags", [path]))
-    return recording.load(path, maps, start, end, _told, journals, arguments.clock)
+    return recording.load(path, maps, start, end, _progress, journals, arguments.clock)
 
 
 def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveAnalysis":
@@ -203,11 +203,10 @@ def _analyze(arguments: argparse.Namespace) -> int:
         for name, one in found.items():
             print("\n".join(["", *axis_analysis.lines(name, one)]))
     for path, valve in csv_files:
-        analysis_report.write_csv(path, valve)
-        wrote(arguments, path)
+        assert valve.signals is not None
+        deliver(arguments, str(path), analysis_report.csv_text(valve.signals))
     if arguments.html is not None:
-        analysis_report.write_html(Path(arguments.html), result)
-        wrote(arguments, arguments.html)
+        deliver(arguments, arguments.html, analysis_report.html_text(result))
     write_json(arguments, about)
     for outcome in outcomes:
         value = "missing" if outcome.value is None else f"{outcome.value:.6g}"
@@ -286,13 +285,7 @@ def _replay_shadow(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> 
     with tqdm(total=count, desc="shadow", unit=" samples", disable=count < 20_000, ascii=True) as progress:
         result = shadow.replay(valve, changes["controller"], progress.update)
     result = result._replace(left_out=[*analysis.left_out, *result.left_out])
-    _tell_replay(
-        arguments,
-        replay_report.shadow_text(result),
-        replay_report.shadow_columns(result),
-        lambda: replay_report.shadow_page(result, arguments.bag),
-        replay_report.shadow_dict(result, arguments.bag, valve.name),
-    )
+    _deliver(arguments, replay_report.of_shadow(result, arguments.bag, valve.name))
     return 0
 
 
@@ -311,31 +304,19 @@ def _replay_what_if(arguments: argparse.Namespace, analysis: "ValveAnalysis") ->
     result = result._replace(left_out=[*analysis.left_out, *result.left_out])
     if result.run.warning:
         print(f"warning: {result.run.warning}", file=sys.stderr)
-    _tell_replay(
-        arguments,
-        replay_report.what_if_text(result),
-        replay_report.what_if_columns(result),
-        lambda: replay_report.what_if_page(result, arguments.bag),
-        replay_report.what_if_dict(result, arguments.bag, analysis.valve.name),
-    )
+    _deliver(arguments, replay_report.of_what_if(result, arguments.bag, analysis.valve.name))
     return 0
 
 
-def _tell_replay(
-    arguments: argparse.Namespace,
-    text: str,
-    columns: dict[str, Any],
-    page: Callable[[], str],
-    about: dict[str, Any],
-) -> None:
-    """Print the result of a replay, and write it as CSV, HTML and JSON where asked for."""
+def _deliver(arguments: argparse.Namespace, report: "Report") -> None:
+    """Print the report of a replay, and write it as CSV, HTML and JSON where asked for."""
     if arguments.json != "-":
-        print(text)
+        print(report.text)
     if arguments.csv is not None:
-        deliver(arguments, arguments.csv, outputs.csv_text(columns, "%.17g"))
+        deliver(arguments, arguments.csv, outputs.csv_text(report.columns, "%.17g"))
     if arguments.html is not None:
-        deliver(arguments, arguments.html, page())
-    write_json(arguments, about)
+        deliver(arguments, arguments.html, report.html)
+    write_json(arguments, report.about)
 
 
 def _replay_live(arguments: argparse.Namespace) -> int:
@@ -397,62 +378,17 @@ def _recover(arguments: argparse.Namespace) -> int:
 
     check_outputs(arguments)
     result = recover(Path(arguments.bag), Path(arguments.out) if arguments.out is not None else None)
-    write_json(
-        arguments,
-        {
-            **result._asdict(),
-            "bag": str(result.bag),
-            "lost": result.lost,
-            "files": [_file_as_dict(file) for file in result.files],
-        },
-    )
-    for file in result.files:
-        if result.done or file.foreign:
-            count = "" if file.missing or file.foreign else f"{file.messages} messages, "
-            say(arguments, f"{file.name}: {count}{_done_to(file)}")
-    if not result.done:
-        say(arguments, f"{result.bag} is whole ({result.messages} messages), nothing was done")
-        return 0
+    out = str(result.out) if result.out is not None else None
+    write_json(arguments, {**result._asdict(), "bag": str(result.bag), "out": out})
     if result.messages == 0:
-        say(arguments, f"{result.bag} holds no message; nothing could be recovered")
+        say(arguments, f"{result.bag} holds no message that can be read; nothing was written")
         return 1
-    before = f" (the one before is kept as {result.metadata_kept})" if result.metadata_kept else ""
-    fits = f"; {result.bag / 'metadata.yaml'} fits{before}" if result.bag.is_dir() else ""
-    lost = "how many were lost is not known" if result.lost is None else f"{result.lost} lost"
-    damaged = result.lost != 0 and any(f.kept or f.empty or f.missing for f in result.files)
-    state = f"can be read again: {result.messages} messages, {lost}" if damaged else ""
-    say(arguments, f"{result.bag} {state or f'is whole again: {result.messages} messages'}{fits}")
+    if result.out is None:
+        say(arguments, f"{result.bag} is whole ({result.messages} messages), nothing was written")
+        return 0
+    for problem in result.problems:
+        say(arguments, f"note: {problem}")
+    chunks = f", {result.damaged_chunks} damaged chunks left out" if result.damaged_chunks else ""
+    lost = "" if result.lost is None else f", {result.lost} lost"
+    say(arguments, f"wrote {result.out}: {result.messages} messages{lost}{chunks}")
     return 0
-
-
-def _file_as_dict(file: "RecoveredFile") -> dict[str, Any]:
-    """A recovered file for JSON; the key for whether it was repaired is `mended`, as in version 0.1."""
-    return {"mended" if key == "repaired" else key: value for key, value in file._asdict().items()}
-
-
-def _done_to(file: "RecoveredFile") -> str:
-    """What was done to a file, in words."""
-    if file.missing:
-        held = f" {file.lost} messages in" if file.lost is not None else ""
-        return f"missing, and metadata.yaml names{held} it; the bag goes on without it"
-    if file.foreign:
-        return "left out; metadata.yaml does not list it, and it has the stamps of one that is listed"
-    kept = f"; the damaged file is kept as {file.kept}" if file.kept else ""
-    kept += "; metadata.yaml did not list it" if file.unlisted else ""
-    if not file.repaired:
-        return f"was whole{kept}"
-    if file.empty:
-        held = f" ({file.lost} messages were in it)" if file.lost else ""
-        return f"was empty, not one byte in it{held}"
-    if file.gone:
-        return f"nothing of a bag can be read in it, the bag goes on without it{kept}"
-    said = ["repaired"]
-    if file.cut:
-        said.append(f"{file.cut} bytes could not be read")
-    if file.lost:
-        said.append(f"{file.lost} messages lost")
-    if file.doubtful:
-        said.append(f"{file.doubtful} messages are of chunks whose checksum is wrong: values may be wrong")
-    if file.nameless:
-        said.append(f"{file.nameless} messages are of topics whose names are lost")
-    return ", ".join(said) + kept

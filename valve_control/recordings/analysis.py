@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.arrays import Floats
-from valve_control.control.analysis.indices import PAUSE, Indices, indices
+from valve_control.control.analysis.indices import Indices, indices
 from valve_control.control.analysis.segments import Segment, motions
 from valve_control.control.analysis.spectra import Spectrum, spectrum
 from valve_control.control.analysis.timing import (
-    LEAST,
+    DEVIATION,
     Timing,
-    leaps,
+    lost_messages,
     spread,
     timing,
     true_period,
@@ -24,9 +24,8 @@ from valve_control.control.analysis.timing import (
 from valve_control.control.laws.registry import LAWS
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import seconds
-from valve_control.recordings.clocks import in_order, shared
+from valve_control.recordings.clocks import shared
 from valve_control.recordings.modes import Interval, Mode, of_samples
-from valve_control.recordings.pace import Pace, pace, sentence
 from valve_control.recordings.parameters import Change
 from valve_control.recordings.recording import (
     ESTIMATES,
@@ -39,7 +38,6 @@ from valve_control.recordings.recording import (
 )
 
 EPOCH = 10**17  # ns; a table whose times begin before it (1973) has its own zero
-LEAPS = 5  # of one recording that are named
 NONE = Indices(np.nan, np.nan, np.nan, np.nan, np.nan)
 
 
@@ -65,6 +63,14 @@ class Spell(NamedTuple):
     listed: bool  # whether the run has anything of it
 
 
+class Period(NamedTuple):
+    """Period of the LVDT readings, compared with the controller's."""
+
+    measured: float  # s, NaN if there are too few readings, or in lockstep
+    wanted: float | None  # s, sample_period at the beginning, None if it is not recorded
+    differs: bool  # by more than jitter and lost readings explain
+
+
 class ValveAnalysis(NamedTuple):
     """Results for one valve."""
 
@@ -75,7 +81,7 @@ class ValveAnalysis(NamedTuple):
     controller: str  # "" if unknown
     parts: list[Part]  # the first is the whole run
     spells: list[Spell]  # of all modes; [] if they are not known
-    pace: Pace
+    period: Period
     error_spectrum: Spectrum
     voltage_spectrum: Spectrum
     left_out: list[str]
@@ -99,13 +105,13 @@ def analyze(recording: Recording) -> Analysis:
 
 
 def _analyze_valve(valve: ValveRecording) -> ValveAnalysis:
-    left_out = [*valve.problems, *leap_notes(valve)]
+    left_out = list(valve.problems)
     signals = None
     try:
         signals = align(valve)
     except BagError as reason:
         left_out.append(str(reason))
-    times = {part: timing(s.time, s.sequence) for part, s in valve.timed.items()}
+    times = {part: timing(s.time, s.sequence) for part, s in valve.recorded.items()}
     if valve.coarse:
         times = {part: without_intervals(entry) for part, entry in times.items()}
     recorded_after = {
@@ -116,12 +122,16 @@ def _analyze_valve(valve: ValveRecording) -> ValveAnalysis:
     name = controller_name(valve)
     parts: list[Part] = []
     spells: list[Spell] = []
-    measured = pace(valve)
+    measured = _period(valve)
     empty = Spectrum(np.empty(0), np.empty(0))
     error_spectrum = voltage_spectrum = empty
     if signals is not None and len(signals.time) > 1:
-        period = measured.period(signals.period)
-        left_out += _rate_notes(valve, signals, measured, period)
+        period = measured.measured if measured.differs else signals.period
+        if measured.differs and measured.wanted:
+            left_out.append(
+                f"{valve.name}: LVDT readings come every {1e3 * measured.measured:.4g} ms, sample_period is "
+                f"{1e3 * measured.wanted:.4g} ms; motions, e_F and spectra reckon with {1e3 * period:.4g} ms"
+            )
         told = of_samples(valve.modes, signals.stamp, signals.period) if valve.modes else None
         spells = _spells(valve.modes, signals, told)
         modes = None if told is None else np.array([part.mode for part in valve.modes])[told]
@@ -141,39 +151,31 @@ def _analyze_valve(valve: ValveRecording) -> ValveAnalysis:
         controller=name,
         parts=parts,
         spells=spells,
-        pace=measured,
+        period=measured,
         error_spectrum=error_spectrum,
         voltage_spectrum=voltage_spectrum,
         left_out=left_out,
     )
 
 
-def leap_notes(valve: ValveRecording) -> list[str]:
-    """Where the time of the LVDT readings leaps, in words."""
-    readings = valve.timed.get("spool_position")
-    if readings is None or valve.lockstep or len(readings.time) < LEAST:
-        return []
-    time, numbered = readings.time, in_order(readings.sequence)
-    number = readings.sequence if numbered else np.arange(len(time))
-    period = true_period(time, readings.sequence)
-    if not period > 0.0:
-        return []
-    why = "the clock was set, or none were sent"
-    return [
-        f"{valve.name}: time leaps by {(int(time[at]) - int(time[at - 1])) * 1e-9 - period:+.3f} s after "
-        f"{(int(time[at - 1]) - int(time[0])) * 1e-9:.3f} s of readings"
-        + (f", whose numbers go on: {why}" if numbered else f": {why}, or they were lost")
-        for at in leaps(time, number, period).tolist()
-        if (time[at] - time[at - 1]) * 1e-9 > PAUSE * period
-    ][:LEAPS]
-
-
-def _rate_notes(valve: ValveRecording, signals: Aligned, measured: Pace, period: float) -> list[str]:
-    return [
-        f"{valve.name}: {sentence(other, signals, len(measured.others) == 1)}; "
-        f"motions, e_F and spectra reckon with {1e3 * period:.4g} ms"
-        for other in measured.others
-    ]
+def _period(valve: ValveRecording) -> Period:
+    """Measure the period of the readings up to the first change of sample_period."""
+    wanted, changes = None, []
+    if valve.controller is not None and "sample_period" in valve.controller.initial:
+        wanted = float(valve.controller.initial["sample_period"])
+        changes = [change.time for change in valve.controller.changes if "sample_period" in change.values]
+    readings = valve.recorded.get("spool_position")
+    if valve.lockstep or readings is None:
+        return Period(np.nan, wanted, False)
+    count = int(np.searchsorted(readings.time, changes[0])) if changes else len(readings.time)
+    time, sequence = readings.time[: count or None], readings.sequence[: count or None]
+    measured = true_period(time, sequence)
+    if wanted is None or not np.isfinite(measured):
+        return Period(measured, wanted, False)
+    # Without numbers losses look like a longer period; they leave the usual interval as it is.
+    usual = measured if lost_messages(sequence) is not None else float(np.median(np.diff(time))) * 1e-9
+    away, usually_away = measured / wanted - 1.0, usual / wanted - 1.0
+    return Period(measured, wanted, abs(away) > DEVIATION and usually_away * np.sign(away) > 0.5 * abs(away))
 
 
 def _spells(modes: list[Interval], signals: Aligned, told: npt.NDArray[np.int64] | None) -> list[Spell]:
@@ -346,7 +348,7 @@ def _valve_dict(result: ValveAnalysis) -> dict[str, Any]:
         "indices": result.parts[0].indices._asdict() if result.parts else None,
         "segments": [_part_dict(part, signals) for part in result.parts if signals is not None],
         "modes": modes_dict(result),
-        "lvdt_period": _pace_dict(result),
+        "lvdt_period": _period_dict(result.period),
         "timing": {
             part: {**entry._asdict(), "jitter_s": entry.jitter_s._asdict()}
             for part, entry in result.timing.items()
@@ -400,22 +402,13 @@ def modes_dict(result: ValveAnalysis) -> dict[str, Any] | None:
     return about
 
 
-def _pace_dict(result: ValveAnalysis) -> dict[str, Any]:
-    measured, wanted, others = result.pace
-    known = wanted is not None and bool(np.isfinite(measured))
+def _period_dict(period: Period) -> dict[str, Any]:
     return {
-        "measured_s": measured,
-        "sample_period_s": wanted,
-        "deviation": measured / wanted - 1.0 if known and wanted else None,
-        "other_rates": [
-            {
-                "start_s": _since(other.start, result.signals),
-                "end_s": _since(other.end, result.signals),
-                "measured_s": other.measured,
-                "sample_period_s": other.wanted,
-            }
-            for other in others
-        ],
+        "measured_s": period.measured,
+        "sample_period_s": period.wanted,
+        "deviation": period.measured / period.wanted - 1.0
+        if period.wanted and np.isfinite(period.measured)
+        else None,
     }
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from valve_control import outputs
 from valve_control.control.analysis.figures import Band, Line, Plot
 from valve_control.control.analysis.indices import Indices
 from valve_control.control.analysis.page import figure, notes, page, table
@@ -27,14 +26,11 @@ from valve_control.recordings.analysis import (
 )
 from valve_control.recordings.cleaning import seconds
 from valve_control.recordings.modes import Mode
-from valve_control.recordings.recording import at_time
+from valve_control.recordings.recording import Aligned, at_time
 
 LISTED = 12  # motions, and intervals of modes, in the terminal; all of them are in JSON and HTML
-REASONS = 3  # of one interval in the terminal
 BANDS = 500  # in one figure
 COLOURS = {Mode.DEGRADED: "#E69F00", Mode.SAFE: "#CC0000", Mode.INACTIVE: "#777777", Mode.UNKNOWN: "#777777"}
-SILENT = "nothing was heard of the controller"
-DETAIL = 1.0  # s before and after the largest error, shown sample by sample
 
 
 def text(analysis: Analysis) -> str:
@@ -55,8 +51,8 @@ def text(analysis: Analysis) -> str:
 def _valve_lines(name: str, valve: ValveAnalysis) -> list[str]:
     period = valve.signals.period if valve.signals is not None else np.nan
     head = f"{name}: controller {valve.controller or 'unknown'}, sample period {1e3 * period:.4g} ms"
-    if any(other.whole for other in valve.pace.others):
-        head += f", LVDT readings every {1e3 * valve.pace.measured:.4g} ms"
+    if valve.period.differs:
+        head += f", LVDT readings every {1e3 * valve.period.measured:.4g} ms"
     lines = [head]
     if valve.parts:
         lines.append(HEADER)
@@ -125,40 +121,53 @@ def listed(spells: list[Spell], most: int) -> list[Spell]:
     return sorted(found[:most], key=lambda spell: spell.start)
 
 
-def _reasons(spell: Spell, most: int | None = None) -> str:
-    reasons = spell.interval.reasons
+def _reasons(spell: Spell) -> str:
     if spell.interval.mode is Mode.UNKNOWN:
-        return SILENT
-    if not reasons:
-        return "(the reason is not recorded)"
-    more = len(reasons) - len(reasons[:most])
-    return "; ".join(reasons[:most]) + (f" (and {more} more)" if more else "")
+        return "nothing was heard of the controller"
+    return "; ".join(spell.interval.reasons) or "(the reason is not recorded)"
 
 
-def _mode_lines(valve: ValveAnalysis) -> list[str]:
+def _mode_summary(valve: ValveAnalysis) -> str:
+    """Time in each mode, "" if it is not known."""
     about = modes_dict(valve)
     if about is None:
-        return []
-    grave = listed(valve.spells, LISTED)
-    if not grave:
-        return ["modes: ok throughout"]
-    told = []
+        return ""
+    if not listed(valve.spells, 1):
+        return "modes: ok throughout"
+    parts = (
+        [f"ok {100.0 * about['ok']['share']:.1f} % of the time"] if about["ok"]["share"] is not None else []
+    )
     for mode in Mode:
         entry = about[mode.name.lower()]
         if mode is not Mode.OK and entry["intervals"]:
             times = f"{entry['intervals']} time{'s' if entry['intervals'] > 1 else ''}"
-            told.append(f"{mode.name.lower()} {times}, {entry['duration_s']:.3f} s")
-    share = f"ok {100.0 * about['ok']['share']:.1f} % of the time" if about["ok"]["share"] is not None else ""
-    lines = [f"modes: {'; '.join(filter(None, [share, *told]))}"]
-    lines.append(f"{'':14}{'from [s]':>10}{'to [s]':>10}{'lasts [s]':>11}")
-    for spell in grave:
-        name, lasts = spell.interval.mode.name.lower(), spell.end - spell.start
-        row = f"{name:14}{spell.start:10.3f}{spell.end:10.3f}{lasts:11.3f}"
-        lines.append(f"{row}  {_reasons(spell, REASONS)}")
-    more = sum(about[mode.name.lower()]["intervals"] for mode in Mode if mode is not Mode.OK) - len(grave)
-    if more:
-        lines.append(f"({more} more in --json and --html)")
-    return lines
+            parts.append(f"{mode.name.lower()} {times}, {entry['duration_s']:.3f} s")
+    return f"modes: {'; '.join(parts)}"
+
+
+def _mode_rows(valve: ValveAnalysis, most: int) -> list[tuple[str, ...]]:
+    """Mode, beginning, end, length [s] and reasons of at most ``most`` spells that are not ok."""
+    return [
+        (
+            spell.interval.mode.name.lower(),
+            *(f"{value:.3f}" for value in (spell.start, spell.end, spell.end - spell.start)),
+            _reasons(spell),
+        )
+        for spell in listed(valve.spells, most)
+    ]
+
+
+def _mode_lines(valve: ValveAnalysis) -> list[str]:
+    summary, rows = _mode_summary(valve), _mode_rows(valve, LISTED)
+    if not rows:
+        return [summary] if summary else []
+    more = len(listed(valve.spells, len(valve.spells))) - len(rows)
+    return [
+        summary,
+        f"{'':14}{'from [s]':>10}{'to [s]':>10}{'lasts [s]':>11}",
+        *(f"{mode:14}{start:>10}{end:>10}{lasts:>11}  {why}" for mode, start, end, lasts, why in rows),
+        *([f"({more} more in --json and --html)"] if more else []),
+    ]
 
 
 def mode_bands(spells: list[Spell], begin: float, end: float) -> list[Band]:
@@ -168,24 +177,6 @@ def mode_bands(spells: list[Spell], begin: float, end: float) -> list[Band]:
         for spell in listed(spells, BANDS)
         if spell.start < end and spell.end > begin
     ]
-
-
-def _mode_section(valve: ValveAnalysis) -> str:
-    rows = [
-        (
-            spell.interval.mode.name.lower(),
-            f"{spell.start:.3f}",
-            f"{spell.end:.3f}",
-            f"{spell.end - spell.start:.3f}",
-            str(spell.samples),
-            _reasons(spell),
-        )
-        for spell in listed(valve.spells, len(valve.spells))
-    ]
-    if not rows:
-        return "<p>ok throughout</p>"
-    head = ["mode", "from [s]", "to [s]", "lasts [s]", "samples", "reasons"]
-    return f"<p>{html.escape(_mode_lines(valve)[0])}</p>" + table(head, rows)
 
 
 def legend(modes: Iterable[Mode]) -> str:
@@ -219,30 +210,26 @@ def _timing_rows(valve: ValveAnalysis) -> list[list[str]]:
     ]
 
 
-def write_csv(path: Path, valve: ValveAnalysis) -> None:
-    """Aligned signals of one valve, one reading a line. Raises OSError."""
-    assert valve.signals is not None
-    signals = valve.signals
-    columns = {
-        "time_s": signals.time,
-        "stamp_ns": signals.stamp,
-        "command_V": signals.command,
-        "measurement_V": signals.measurement,
-        "error_V": signals.measurement - signals.command,
-        "voltage_V": signals.voltage,
-    }
-    lines = [",".join(columns) + "\n"]
-    row = "%.9f,%d,%.17g,%.17g,%.17g,%.17g\n"
-    for start in range(0, len(signals.time), 100_000):
-        piece = zip(*(column[start : start + 100_000].tolist() for column in columns.values()), strict=True)
-        lines.append("".join(row % numbers for numbers in piece))
-    outputs.write(str(path), "".join(lines))
+def csv_text(signals: Aligned) -> str:
+    """Aligned signals of one valve, one reading a line."""
+    columns = (
+        signals.time,
+        signals.stamp,
+        signals.command,
+        signals.measurement,
+        signals.measurement - signals.command,
+        signals.voltage,
+    )
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    head = "time_s,stamp_ns,command_V,measurement_V,error_V,voltage_V\n"
+    form = "%.9f,%d,%.17g,%.17g,%.17g,%.17g\n"
+    return head + "".join(form % row for row in rows)
 
 
-def write_html(path: Path, analysis: Analysis) -> None:
-    """The report as one self-contained page. Raises OSError."""
+def html_text(analysis: Analysis) -> str:
+    """The report as one self-contained page."""
     title = f"{Path(str(analysis.recording.bag.path)).name}: valve report"
-    outputs.write(str(path), page(title, _sections(analysis)))
+    return page(title, _sections(analysis))
 
 
 def _sections(analysis: Analysis) -> dict[str, str]:
@@ -288,7 +275,10 @@ def _valve_sections(name: str, valve: ValveAnalysis) -> dict[str, str]:
                 rows += [(label, part.controller, values, "") for label, values in parts_of_modes(part)]
         sections[f"{name}: indices"] = index_table(rows) + notes(valve.left_out)
         if valve.spells:
-            sections[f"{name}: modes"] = _mode_section(valve)
+            head = ["mode", "from [s]", "to [s]", "lasts [s]", "reasons"]
+            rows_of_modes = _mode_rows(valve, len(valve.spells))
+            text_of_modes = f"<p>{html.escape(_mode_summary(valve))}</p>"
+            sections[f"{name}: modes"] = text_of_modes + (table(head, rows_of_modes) if rows_of_modes else "")
         changes = valve.valve.controller.changes if valve.valve.controller is not None else []
         marks = [at_time(valve.signals, change.time) for change in changes]
         bands = mode_bands(valve.spells, float(time[0]), float(time[-1]) + valve.signals.period)
@@ -296,9 +286,6 @@ def _valve_sections(name: str, valve: ValveAnalysis) -> dict[str, str]:
         sections[f"{name}: signals"] = (legend(shown) if shown else "") + figure(
             _signal_plots(valve), "time [s]", marks=marks, bands=bands
         )
-        detail = _detail(valve)
-        if detail:
-            sections[f"{name}: around the largest error, sample by sample"] = detail
         spectra = [
             Plot(f"{label} [V/√Hz]", [Line(label, s.frequency, s.density, colour)], logarithmic=True)
             for label, s, colour in (
@@ -314,7 +301,7 @@ def _valve_sections(name: str, valve: ValveAnalysis) -> dict[str, str]:
     elif valve.left_out:
         sections[f"{name}: left out"] = notes(valve.left_out)
     head = ["signal", "messages", "rate [Hz]", "jitter p99 [ms]", "max [ms]", "gaps", "longest [ms]", "lost"]
-    sections[f"{name}: sample rate"] = table(head, _timing_rows(valve)) + _timing_figure(valve)
+    sections[f"{name}: sample rate"] = table(head, _timing_rows(valve))
     nodes = [node for node in (valve.valve.controller, valve.valve.simulator) if node is not None]
     for node in nodes:
         sections[f"Parameters of {node.name}"] = (
@@ -369,35 +356,3 @@ def _signal_plots(valve: ValveAnalysis) -> list[Plot]:
                 )
             )
     return plots
-
-
-def _detail(valve: ValveAnalysis) -> str:
-    signals = valve.signals
-    assert signals is not None
-    error = signals.measurement - signals.command
-    if not np.any(np.isfinite(error)) or len(error) <= 4000:
-        return ""
-    worst = float(signals.time[int(np.nanargmax(np.abs(error)))])
-    near = np.abs(signals.time - worst) <= DETAIL
-    cut = valve._replace(
-        signals=signals._replace(
-            time=signals.time[near],
-            stamp=signals.stamp[near],
-            command=signals.command[near],
-            measurement=signals.measurement[near],
-            voltage=signals.voltage[near],
-        ),
-        valve=valve.valve._replace(state=None),
-    )
-    bands = mode_bands(valve.spells, worst - DETAIL, worst + DETAIL)
-    return figure(_signal_plots(cut), "time [s]", bands=bands)
-
-
-def _timing_figure(valve: ValveAnalysis) -> str:
-    plots = []
-    begin = int(valve.signals.stamp[0]) if valve.signals is not None else 0
-    for part, samples in valve.valve.signals.items():
-        if len(samples.time) > 1:
-            time, intervals = seconds(samples.time[1:], begin), seconds(samples.time[1:], samples.time[:-1])
-            plots.append(Plot(f"{part} [ms]", [Line(part, time, 1e3 * intervals)]))
-    return "<p>Time between two messages:</p>" + figure(plots, "time [s]", height=180) if plots else ""

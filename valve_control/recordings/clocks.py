@@ -1,21 +1,22 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Decides which clock a recording is read by, and leaves out messages with stamps far from all others."""
+"""Decides which clock all times of a recording are of.
 
-import datetime
+One rule: the times of sending (publish_time) count if all messages of a valve's signals have one, if they
+never go back nor repeat where those of recording do not, run as fast as these, and if the clocks of the
+publishers agree. Otherwise the times of recording (log_time) count, and a note says why.
+"""
+
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-from scipy.ndimage import median_filter
 
 from valve_control.arrays import Integers
-from valve_control.recordings.bags.bag import FAR, Series, edges, stretch
+from valve_control.recordings.bags.bag import FAR, Series, stretch
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.table import TableFile
 
-Mask = npt.NDArray[np.bool_]
 SMALL_DISORDER = 0.1  # s by which messages may be out of order
 BACK = 2.0  # usual intervals by which time goes back, between messages in order, where the clock was set
 SAME_CLOCK = 1e-3  # s, or half a period, by which delays to the recorder may differ between topics
@@ -23,29 +24,21 @@ MISSING = 0.02  # of the messages without a source time from which on that count
 SAME_SPEED = 0.01  # by which the speeds of two clocks may differ
 PIECES = 20  # of a recording
 PROMPT = 10.0  # % of them in which one message at least is recorded at once
-MANY = 10  # messages of a topic from which on its own times tell which of them stand apart
+MANY = 10  # messages of a topic from which on its own times tell of its clock
 SHARED = 0.05  # of the messages that have the stamp of the one before where the clock is coarse
-FEW, FEW_SHARE = 3, 1e-3  # messages that may be strays; more are a part of the recording
-SPIKE = 5  # messages in a row, of which two may stand apart
 
 
 class Clock(NamedTuple):
     """The clock that all times of a recording are of."""
 
-    name: str  # log_time, publish_time, header.stamp, /clock, or that of a table
-    speed: float  # of publish_time over log_time, NaN where it is not known
-    offset: float  # s  of publish_time from log_time, NaN where it is not known
-    notes: tuple[str, ...]
+    name: str  # log_time, publish_time, or that of a table
+    notes: tuple[str, ...] = ()
+    apart: bool = False  # whether it differs from log_time in speed, or by more than disorder
 
     @property
     def source(self) -> bool:
         """Whether times are those at which messages were sent, not recorded."""
         return self.name == "publish_time"
-
-    @property
-    def apart(self) -> bool:
-        """Whether the two clocks of the recording differ in speed, or by more than disorder."""
-        return abs(self.speed - 1.0) > SAME_SPEED or abs(self.offset) > SMALL_DISORDER
 
     def read(self, series: Mapping[str, Series]) -> dict[str, Series]:
         """``series`` whose publish_time is of this clock, so that nothing is taken from the other."""
@@ -65,12 +58,6 @@ def shared(time: Integers) -> bool:
     return len(time) >= MANY and int(np.count_nonzero(steps == 0)) > SHARED * len(steps)
 
 
-def usual_step(time: Integers) -> float:
-    """Usual time [s] between two stamps of ``time`` [ns] that differ, 0 if there are no two."""
-    steps = np.diff(np.unique(time))
-    return float(np.median(steps)) * 1e-9 if len(steps) else 0.0
-
-
 def steps_back(time: Integers, sequence: Integers) -> Integers:
     """Where the clock of ``time`` [ns] was set back; by a little only where the numbers are in order."""
     intervals = np.diff(time)
@@ -82,43 +69,38 @@ def of_table(table: TableFile, wanted: str | None) -> Clock:
     """The clock of a table's rows. Raises BagError if another is ``wanted``."""
     if wanted is not None:
         raise BagError(f"--clock {wanted}: {table.path} is a table, whose rows have one time ({table.clock})")
-    return Clock(table.clock, np.nan, np.nan, ())
+    return Clock(table.clock)
 
 
 def decide(
     series: Mapping[str, Series], groups: Iterable[Sequence[str]], wanted: str | None, path: object
 ) -> Clock:
-    """The clock for a recording: ``wanted`` (log or publish), else publish_time if it is fit for all topics.
+    """The clock for a recording: ``wanted`` (log or publish), else the one of the rule above.
 
     ``groups``: topics of each valve, whose publishers must agree. Raises BagError if there is no such clock.
     """
     groups = [[name for name in dict.fromkeys(group) if len(series[name].log_time)] for group in groups]
     names = list(dict.fromkeys(name for group in groups for name in group))
-    stamped = [name for name in names if np.any(series[name].publish_time != series[name].log_time)]
-    without = [name for name in names if name not in stamped]
-    partly = [name for name in stamped if _partly(series[name])]
+    same = {name: float(np.mean(series[name].publish_time == series[name].log_time)) for name in names}
+    without = [name for name in names if same[name] == 1.0]
     if wanted == "publish" and (without or not names):
-        which = f" on {', '.join(without)}" if stamped else ""
+        which = f" on {', '.join(without)}" if len(without) < len(names) else ""
         raise BagError(f"--clock publish: {path} has no publish_time of its own{which}; take --clock log")
-    if not stamped:
-        return Clock("log_time", np.nan, np.nan, ())
-    longest = max((series[name] for name in stamped), key=lambda one: len(one.log_time))
-    speed, offset = _speed(longest), float(np.median(longest.publish_time - longest.log_time)) * 1e-9
-    backwards = [
+    if len(without) == len(names):
+        return Clock("log_time")
+    longest = max((series[n] for n in names if n not in without), key=lambda one: len(one.log_time))
+    speed = _speed(longest)
+    offset = float(np.median(longest.publish_time - longest.log_time)) * 1e-9
+    apart = abs(speed - 1.0) > SAME_SPEED or abs(offset) > SMALL_DISORDER
+    lacking = [
         name
-        for name in stamped
-        if len(steps_back(series[name].publish_time, series[name].sequence))
-        > len(steps_back(series[name].log_time, series[name].sequence))
+        for name in names
+        if same[name] == 1.0 or (same[name] > MISSING and not shared(series[name].log_time))
     ]
-    coarse = [
-        name for name in stamped if shared(series[name].publish_time) and not shared(series[name].log_time)
-    ]
-    differ = "" if without else next(filter(None, (_differing(series, group) for group in groups)), "")
-    reason = ""
-    if without:
-        reason = f"{', '.join(without)} has no source times"
-    elif partly:
-        reason = f"some messages of {', '.join(partly)} have no source times"
+    backwards = [name for name in names if _goes_back(series[name])]
+    coarse = [n for n in names if shared(series[n].publish_time) and not shared(series[n].log_time)]
+    if lacking:
+        reason = f"messages of {', '.join(lacking)} have no source times"
     elif backwards:
         reason = f"source times go backwards on {', '.join(backwards)}"
     elif abs(speed - 1.0) > SAME_SPEED:
@@ -127,37 +109,29 @@ def decide(
             "log_time)"
         )
     elif coarse:
-        resolution = usual_step(series[coarse[0]].publish_time)
-        reason = f"source times have a resolution of {1e3 * resolution:.4g} ms on {', '.join(coarse)}"
+        reason = f"source times are shared by messages of {', '.join(coarse)}"
     else:
-        reason = differ
-    if wanted == "publish":
-        return Clock("publish_time", speed, offset, (f"{reason}; publish_time is used",) if reason else ())
-    if wanted == "log" or reason:
+        reason = next(filter(None, (_differing(series, group) for group in groups)), "")
+    if wanted == "log" or (reason and wanted != "publish"):
         note = f"{reason}; times of recording are used (log_time; --clock publish takes the others)"
-        return Clock("log_time", speed, offset, (note,) if reason else ())
-    return Clock("publish_time", speed, offset, ())
+        return Clock("log_time", (note,) if reason else ())
+    return Clock("publish_time", (f"{reason}; publish_time is used",) if reason else (), apart)
 
 
-def _partly(series: Series) -> bool:
-    """Whether some messages have no time of publication, so that theirs is that of recording."""
-    same = series.publish_time == series.log_time
-    share = float(np.mean(same)) if len(same) else 0.0
-    return MISSING < share < 1.0 - MISSING and not (shared(series.publish_time) or shared(series.log_time))
+def _goes_back(one: Series) -> bool:
+    return len(steps_back(one.publish_time, one.sequence)) > len(steps_back(one.log_time, one.sequence))
 
 
 def _differing(series: Mapping[str, Series], group: Sequence[str]) -> str:
     """How the clocks of the publishers of one valve differ, "" if they do not."""
-    if not group:
-        return ""
     delays = {name: _delay(series[name]) for name in group}
     times = [series[name].publish_time for name in group]
     intervals = [float(np.median(np.diff(time))) * 1e-9 for time in times if len(time) > 1]
-    least = min(delays.values())
-    if max(delays.values()) - least <= max(SAME_CLOCK, 0.5 * max(intervals, default=0.0)):
+    least = min(delays.values(), default=0.0)
+    if max(delays.values(), default=0.0) - least <= max(SAME_CLOCK, 0.5 * max(intervals, default=0.0)):
         return ""
-    told = ", ".join(f"{name} {1e3 * (delay - least):+.3f} ms" for name, delay in delays.items())
-    return f"the publishers' clocks differ (time until recorded, over the shortest: {told})"
+    listed = ", ".join(f"{name} {1e3 * (delay - least):+.3f} ms" for name, delay in delays.items())
+    return f"the publishers' clocks differ (time until recorded, over the shortest: {listed})"
 
 
 def _delay(series: Series) -> float:
@@ -182,70 +156,23 @@ def _speed(series: Series) -> float:
 
 
 def without_strays(series: Mapping[str, Series], problems: list[str]) -> dict[str, Series]:
-    """``series`` without the few messages of which one stamp lies far from all others; they are named."""
-    log = [one.log_time for one in series.values()]
-    together = _far(np.concatenate([np.empty(0, dtype=np.int64), *log]))
-    by_log = np.split(together, np.cumsum([len(times) for times in log])[:-1]) if log else []
-    large = [one.publish_time for one in series.values() if len(one.publish_time) >= MANY]
-    hulls = [stretch(time) for time in large]
-    kept = {}
-    for (name, one), far in zip(series.items(), by_log, strict=True):
-        far = far | _spikes(one.log_time, far)
-        publish = _far_published(one.publish_time, hulls)
-        publish |= _spikes(one.publish_time, publish)
-        for kind, mask, time in (
-            ("log_time", far, one.log_time),
-            ("publish_time", publish, one.publish_time),
-        ):
-            mask = mask & ~far if kind == "publish_time" else mask
-            if mask.any():
-                count = int(np.count_nonzero(mask))
-                has = "messages of" if count > 1 else "message of"
-                stamps = ", ".join(_date(stamp) for stamp in time[mask][:3].tolist())
-                verb = "have stamps" if count > 1 else "has a stamp"
-                problems.append(
-                    f"{count} {has} {name} {verb} far from all others ({kind} {stamps}) and "
-                    f"{'are' if count > 1 else 'is'} left out"
-                )
-        bad = far | publish
-        kept[name] = one.pick(~bad) if bad.any() else one
-    return kept
+    """``series`` without messages that were recorded an hour or more away from most, which are named.
 
-
-def _date(stamp: int) -> str:
-    moment = datetime.datetime(1970, 1, 1) + datetime.timedelta(microseconds=stamp // 1000)
-    return moment.isoformat(timespec="seconds")
-
-
-def _far(time: Integers) -> Mask:
-    """The few of ``time`` [ns] that lie hours from most."""
-    if len(time) == 0:
-        return np.zeros(0, dtype=np.bool_)
-    stretches = np.searchsorted(edges(time), time.astype(np.float64), side="right")
-    counts = np.bincount(stretches)
-    few = counts <= max(FEW, FEW_SHARE * len(time))
-    first = float(stretch(time)[0])
-    few[int(np.searchsorted(edges(time), first, side="right"))] = False
-    return np.asarray(few[stretches], dtype=np.bool_)
-
-
-def _far_published(time: Integers, hulls: Sequence[tuple[int, int]]) -> Mask:
-    """Likewise of times of publication; a topic of a few messages is compared with the others' ``hulls``."""
-    if len(time) >= MANY or not hulls:
-        return _far(time) if len(time) >= MANY else np.zeros(len(time), dtype=np.bool_)
-    floats = time.astype(np.float64)
-    near = np.any([(floats > a - FAR * 1e9) & (floats < b + FAR * 1e9) for a, b in hulls], axis=0)
-    return np.asarray(~near if near.any() else (time <= 0) | (time > 2**62), dtype=np.bool_)
-
-
-def _spikes(time: Integers, left_out: Mask) -> Mask:
-    """The few messages whose stamps leap away from their neighbours' and back."""
-    found = np.zeros(len(time), dtype=np.bool_)
-    rest = np.flatnonzero(~left_out)
-    if len(rest) < MANY:
-        return found
-    times = (time[rest] - time[rest[0]]) * 1e-9
-    away = np.abs(times - median_filter(times, SPIKE, mode="nearest")) > SMALL_DISORDER
-    if np.count_nonzero(away) <= max(FEW, FEW_SHARE * len(time)):
-        found[rest[away]] = True
+    Likewise without those that were sent an hour or more earlier or later than usual before recording.
+    """
+    log = [one.log_time for one in series.values() if len(one.log_time)]
+    first, last = stretch(np.concatenate(log)) if log else (0, 0)
+    found = {}
+    for name, one in series.items():
+        far = (one.log_time < first) | (one.log_time > last)
+        if not far.all():
+            delay = (one.log_time - one.publish_time).astype(np.float64)
+            far |= np.abs(delay - np.median(delay[~far])) > FAR * 1e9
+        count = int(np.count_nonzero(far))
+        if count:
+            problems.append(
+                f"{count} of {len(far)} messages of {name} have a stamp far from all others, by an hour or "
+                "more, and are left out"
+            )
+        found[name] = one.pick(~far) if count else one
     return found

@@ -8,20 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from valve_control.control.analysis.figures import COLOURS, Band, Line, Plot, Trace, draw_traces
+from valve_control.control.analysis.figures import COLOURS, Line, Plot, Trace, draw_traces
 from valve_control.control.analysis.indices import Indices
 from valve_control.control.analysis.overlay import TimedSignal, shift
 from valve_control.control.analysis.page import figure, notes, page
-from valve_control.recordings.analysis import NONE, Analysis, Spell, modes_dict
-from valve_control.recordings.analysis_report import BANDS, index_table, listed, time_in
-from valve_control.recordings.modes import Mode
+from valve_control.recordings.analysis import NONE, Analysis, modes_dict
+from valve_control.recordings.analysis_report import index_table, time_in
 from valve_control.recordings.recording import Aligned
-
-ERROR_PLOT = 1  # the plot in which the modes are marked
-STRIP = 0.03  # part of its height for each run
-STRIPS = 0.3  # part of its height for all
-MARKED = "strips below the error: degraded pale, safe dark"
-OPACITY = {Mode.DEGRADED: 0.35, Mode.SAFE: 1.0, Mode.INACTIVE: 0.1, Mode.UNKNOWN: 0.1}
 
 
 class BagRun(NamedTuple):
@@ -34,7 +27,6 @@ class BagRun(NamedTuple):
     left_out: list[str]
     only_ok: Indices  # of what the controller did in the mode ok
     time_in: dict[str, float]  # s in the other modes
-    spells: list[Spell]
     modes: dict[str, Any] | None  # for JSON
     shift: float | None = None  # s, to lie over the first run; None without readings
     by: str = ""  # what shows that
@@ -53,7 +45,6 @@ def runs(path: str, analysis: Analysis) -> list[BagRun]:
             left_out=[f"{bag}: {text}" for text in (*analysis.left_out, *valve.left_out)],
             only_ok=valve.parts[0].only_ok if valve.parts else NONE,
             time_in=valve.parts[0].time_in if valve.parts else {},
-            spells=valve.spells,
             modes=modes_dict(valve),
         )
         for name, valve in analysis.valves.items()
@@ -115,27 +106,6 @@ def as_dict(name: str, run: BagRun) -> dict[str, Any]:
     }
 
 
-def _strips(runs: Sequence[BagRun]) -> list[Band]:
-    """A strip below the error of each run whose controller was not ok: degraded pale, safe dark."""
-    height = min(STRIP, STRIPS / max(1, len(runs)))
-    return [
-        Band(
-            max(spell.start, float(time[0])) + run.shift,
-            min(spell.end, float(time[-1]) + run.signals.period) + run.shift,
-            COLOURS[i % len(COLOURS)],
-            OPACITY[spell.interval.mode],
-            ERROR_PLOT,
-            i * height,
-            (i + 1) * height,
-        )
-        for i, run in enumerate(runs)
-        if run.signals is not None and run.shift is not None
-        for time in (run.signals.time,)
-        for spell in listed(run.spells, BANDS)
-        if spell.start <= time[-1] and spell.end > time[0]
-    ]
-
-
 def draw(path: Path, names: Sequence[str], runs: Sequence[BagRun]) -> None:
     """Draw the ``overlaid`` runs as the PNG file ``path``. Raises OSError."""
     traces = {
@@ -145,9 +115,7 @@ def draw(path: Path, names: Sequence[str], runs: Sequence[BagRun]) -> None:
         for name, run in zip(names, runs, strict=True)
         if run.signals is not None and run.shift is not None
     }
-    strips = _strips(runs)
-    title = "valve_control: bags" + (f"\n{MARKED}" if strips else "")
-    draw_traces(path, {"recorded": traces}, title, strips, own_commands=True)
+    draw_traces(path, {"recorded": traces}, "valve_control: bags", own_commands=True)
 
 
 def html(names: Sequence[str], runs: Sequence[BagRun]) -> str:
@@ -168,12 +136,10 @@ def html(names: Sequence[str], runs: Sequence[BagRun]) -> str:
         voltages.append(Line(name, time, s.voltage, colour))
     plots = [Plot("spool position [V]", positions), Plot("error [V]", errors), Plot("voltage [V]", voltages)]
     left_out = notes([text for run in runs for text in run.left_out])
-    strips = _strips(runs)
-    how = notes([*moves(names, runs), *([MARKED] if strips else [])])
     return page(
         "valve_control: bags compared",
         {
             "Indices": index_table(rows) + left_out,
-            "Signals, overlaid by their motion": how + figure(plots, "time [s]", bands=strips),
+            "Signals, overlaid by their motion": notes(moves(names, runs)) + figure(plots, "time [s]"),
         },
     )

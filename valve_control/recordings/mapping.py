@@ -10,7 +10,7 @@ from valve_control.control.drivers.scaling import Scale, ScaleError, parse
 from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.bags.cdr import Decoder, normal
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.tables import empty_notes, is_of, split_file, take_times, topic_of
+from valve_control.recordings.tables import empty_notes, take_times, topic_of
 
 PARTS = ("spool_command", "spool_position", "valve_voltage")
 TRAJECTORY = "spool_trajectory"  # plays the part of the command where there are no others
@@ -88,9 +88,6 @@ def _mapped(bag: Bag, text: str) -> tuple[str, str, Source]:
     if bag.table is not None:
         topic, scale = topic_of(bag.table, text)
         return valve, part, Source(topic, "data", scale)
-    file, _ = split_file(right)
-    if file and not is_of(bag.path, file):
-        raise BagError(f"--map {text}: {file} is not what is read, which is {bag.path}")
     return parse_map(text)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags.bag import Bag, Series
-from valve_control.recordings.bags.cdr import UNDECODABLE, jazzy
+from valve_control.recordings.bags.cdr import deserialized
 
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 SILENT = 3.0  # s without a word, of which there is at least one a second, after which the mode is not known
@@ -56,7 +56,6 @@ def diagnostic_topics(bag: Bag) -> list[str]:
 
 def words(series: Sequence[Series], problems: list[str]) -> dict[str, list[Word]]:
     """What each controller said, by the node's full name."""
-    definition = jazzy().get_msgdef(TYPE)
     said: dict[str, list[Word]] = {}
     unreadable = 0
     for messages in series:
@@ -64,10 +63,8 @@ def words(series: Sequence[Series], problems: list[str]) -> dict[str, list[Word]
             # Every controller tells its mode; the words of other nodes are many.
             if b"mode\0" not in raw:
                 continue
-            decode = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
-            try:
-                message: Any = decode(raw[4:], 0, definition.cls, jazzy())[0]
-            except UNDECODABLE:
+            message = deserialized(raw, TYPE)
+            if message is None:
                 unreadable += 1
                 continue
             for status in message.status:

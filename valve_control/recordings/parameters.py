@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
 from valve_control.recordings.bags.bag import Series
-from valve_control.recordings.bags.cdr import UNDECODABLE, jazzy
+from valve_control.recordings.bags.cdr import deserialized
 
 TOPIC = "/parameter_events"
 TYPE = "rcl_interfaces/msg/ParameterEvent"
@@ -84,7 +84,7 @@ def history(events: Series | None, problems: list[str]) -> dict[str, Node]:
     seen: dict[str, dict[str, Any]] = {}
     unreadable = 0
     for time, raw in sorted(zip(events.publish_time.tolist(), events.raw, strict=True), key=lambda e: e[0]):
-        event = _event(raw)
+        event = deserialized(raw, TYPE)
         if event is None:
             unreadable += 1
             continue
@@ -109,18 +109,6 @@ def history(events: Series | None, problems: list[str]) -> dict[str, Node]:
     if unreadable:
         problems.append(f"{unreadable} messages of {TOPIC} could not be decoded and are left out")
     return nodes
-
-
-def _event(raw: bytes) -> Any:
-    """The message, None if it cannot be decoded. What rclpy serializes may have bytes to spare at its end."""
-    definition = jazzy().get_msgdef(TYPE)
-    if len(raw) < 4 or raw[0] != 0 or raw[1] > 1:
-        return None
-    decode = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
-    try:
-        return decode(raw[4:], 0, definition.cls, jazzy())[0]
-    except UNDECODABLE:
-        return None
 
 
 class _Nothing:

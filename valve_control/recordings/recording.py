@@ -5,7 +5,7 @@
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,18 +15,16 @@ from valve_control.control.analysis.timing import LATE
 from valve_control.control.supervision.journal import Block, block
 from valve_control.control.supervision.state_snapshot import Account, account
 from valve_control.recordings import modes, parameters
-from valve_control.recordings.bags.bag import FAR, Bag, Series
-from valve_control.recordings.bags.cdr import UNDECODABLE, Decoder, jazzy
+from valve_control.recordings.bags.bag import Bag, Series
+from valve_control.recordings.bags.cdr import Decoder, deserialized
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.cleaning import Samples, clean, seconds
+from valve_control.recordings.cleaning import clean, seconds
 from valve_control.recordings.clocks import Clock, decide, of_table, without_strays
 from valve_control.recordings.mapping import STATE_TYPE, ValveTopics, find_valves
-from valve_control.recordings.stamps import fields, retimed
+from valve_control.recordings.pairing import Samples
 
 ESTIMATES = ("a1", "a0", "b0", "b0dn")
 V = TypeVar("V")
-LAG_ROWS = 200  # accounts on ~/state by which answers are matched with readings
-LONGEST_LAG = 12  # readings
 STATE_FIELDS = (
     "sample",
     "mode",
@@ -71,8 +69,7 @@ class ValveRecording(NamedTuple):
     name: str
     topics: ValveTopics
     signals: dict[str, Samples]  # by part
-    timed: dict[str, Samples]  # likewise, with NaN
-    recorded: dict[str, Samples]  # likewise, with NaN and all publishers
+    recorded: dict[str, Samples]  # likewise, with NaN
     state: State | None
     journal: list[Block]  # what the controller took in, if it was asked for
     accounts: dict[tuple[int, int], Account]  # what it remembered, by journal and row, likewise
@@ -151,40 +148,29 @@ class _Request(NamedTuple):
 
 
 def _read(
-    bag: Bag, asked: _Request, hears: Callable[[int], None] | None
+    bag: Bag, request: _Request, progress: Callable[[int], None] | None
 ) -> tuple[dict[str, Series], Clock, int]:
     """Series by topic, the clock of all their times, and the beginning of the part [ns]. Raises BagError."""
-    wanted, states, raw = asked.wanted, asked.states, asked.raw
-    first, last = asked.span(bag.begin)
-    signals = [name for group in asked.groups for name in group]
-    stamped = fields(bag, signals, asked.clock) if bag.table is None else {}
-    for name, names in stamped.items():
-        wanted.setdefault(name, []).extend(names)
-    if stamped:
-        series = bag.read(wanted, raw=raw, sparse=states, told=hears)
-    elif asked.start is None:
-        series = bag.read(wanted, raw=raw, sparse=states, end=last, told=hears)
+    wanted, states, raw = request.wanted, request.states, request.raw
+    first, last = request.span(bag.begin)
+    if request.start is None:
+        series = bag.read(wanted, raw=raw, sparse=states, end=last, progress=progress)
     else:
         # What is known of the nodes counts from the bag's beginning, whatever part is asked for.
-        series = bag.read(wanted, sparse=states, start=first, end=last, told=hears)
+        series = bag.read(wanted, sparse=states, start=first, end=last, progress=progress)
         series |= bag.read({}, raw=raw, end=last)
-    found: list[str] = []
-    series = without_strays(series, found)
+    notes: list[str] = []
+    series = without_strays(series, notes)
     if bag.table is not None:
-        ruling = of_table(bag.table, asked.clock)
+        clock = of_table(bag.table, request.clock)
     else:
-        ruling = decide(series, asked.groups, None if stamped else asked.clock, asked.path)
-    if stamped:
-        series, ruling = retimed(series, stamped, ruling, signals)
-        series = without_strays(series, found)
-    apart = ruling.source and ruling.apart
-    if (apart or stamped) and (asked.start is not None or asked.end is not None):
-        if apart:
-            # The part that was read is one of times of recording.
-            found.clear()
-            series = without_strays(bag.read(wanted, raw=raw, sparse=states), found)
-        sent = [series[name].publish_time for name in signals]
-        first, last = asked.span(min(int(time.min()) for time in sent if len(time)))
+        clock = decide(series, request.groups, request.clock, request.path)
+    if clock.apart and (request.start is not None or request.end is not None):
+        # The part that was read is one of times of recording.
+        notes.clear()
+        series = without_strays(bag.read(wanted, raw=raw, sparse=states), notes)
+        sent = [series[name].publish_time for group in request.groups for name in group]
+        first, last = request.span(min(int(time.min()) for time in sent if len(time)))
         series = {
             name: one.pick(
                 ((name in raw) | (one.publish_time >= first))
@@ -192,8 +178,8 @@ def _read(
             )
             for name, one in series.items()
         }
-    bag.problems += [*found, *ruling.notes]
-    return ruling.read(series), ruling, first
+    bag.problems += [*notes, *clock.notes]
+    return clock.read(series), clock, first
 
 
 def load(
@@ -201,16 +187,15 @@ def load(
     maps: Sequence[str] = (),
     start: float | None = None,
     end: float | None = None,
-    told: Callable[[Bag], Callable[[int], None]] | None = None,
+    progress: Callable[[Bag], Callable[[int], None]] | None = None,
     journals: bool = False,
     clock: str | None = None,
 ) -> Recording:
     """Load a bag, or its part from ``start`` to ``end`` [s] after its beginning.
 
-    ``told`` takes the opened bag and returns a function that is called with the number of bytes read since
-    its last call; ``journals``: load the controllers' journals too, which only a shadow replay needs;
-    ``clock``: log, publish, header (stamps in headers) or /clock (a simulated clock), whose times are taken
-    for all (default: publish, if it is fit for all signals).
+    ``progress`` takes the opened bag and returns a function that is called with the number of bytes read
+    since its last call; ``journals``: load the controllers' journals too, which only a shadow replay needs;
+    ``clock``: log or publish, whose times are taken for all (default: publish, if it is fit for all signals).
     Raises BagError if nothing can be analysed.
     """
     bag = Bag(path)
@@ -218,8 +203,8 @@ def load(
     wanted, states, raw, diagnostics = _wanted(bag, topics, journals)
     labels = {name: _labels(bag, name) for name in states}
     groups = [[source.topic for source in valve.sources.values()] for valve in topics.values()]
-    asked = _Request(path, wanted, states, raw, groups, start, end, clock)
-    series, ruling, first = _read(bag, asked, told(bag) if told else None)
+    request = _Request(path, wanted, states, raw, groups, start, end, clock)
+    series, used, first = _read(bag, request, progress(bag) if progress else None)
     since = 0 if start is None else first
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
     if start is not None:
@@ -227,7 +212,7 @@ def load(
     said = modes.words([series[name] for name in diagnostics], bag.problems)
     valves = {
         name: _valve(
-            valve, series, labels.get(valve.state, []), nodes, said, since, ruling, bag.table is not None
+            valve, series, labels.get(valve.state, []), nodes, said, since, used, bag.table is not None
         )
         for name, valve in topics.items()
     }
@@ -238,7 +223,7 @@ def load(
             f"{path} has no message on any topic of a valve{part}, so there is nothing to analyse"
             + (f" ({why})" if why else "")
         )
-    return Recording(bag, valves, nodes, bag.problems, ruling)
+    return Recording(bag, valves, nodes, bag.problems, used)
 
 
 def chosen(path: Path | str, valves: Mapping[str, V], of: str | None) -> V:
@@ -261,14 +246,13 @@ def nanoseconds(time: float, option: str) -> int:
 def _journal(notes: Series | None, problems: list[str]) -> list[Block]:
     if notes is None:
         return []
-    kind = jazzy().get_msgdef(STATE_TYPE)
-    blocks = []
+    blocks: list[Block] = []
     unreadable = 0
     for raw in notes.raw:
+        message = deserialized(raw, STATE_TYPE)
         try:
-            message: Any = kind.deserialize_cdr_le(raw[4:], 0, kind.cls, jazzy())[0]
             blocks.append(block(message.data))
-        except UNDECODABLE:
+        except (AttributeError, ValueError, IndexError):
             unreadable += 1
     if unreadable:
         problems.append(f"{unreadable} messages on ~/journal are no journal and are left out")
@@ -303,14 +287,14 @@ def _valve(
 ) -> ValveRecording:
     problems: list[str] = []
     cleaned = clean(topics.sources, series, problems, rows, received=clock.name == "log_time")
-    signals = _together(cleaned.usable, problems)
+    signals, pairs = cleaned.usable, cleaned.pairs
     doubts = list(problems)
     kinds = _kinds(topics, nodes)
     state = None
     if topics.state and len(series[topics.state].log_time):
         got = series[topics.state]
         named = {label: got.values[f"data[{label}]"] for label in STATE_FIELDS}
-        stamp = got.publish_time if cleaned.ties is None else cleaned.ties.of(got.publish_time, got.place)
+        stamp = got.publish_time if pairs is None else pairs.of(got.publish_time, got.place)
         state = State(stamp, labels, named)
     for part in ("spool_command", "spool_position", "valve_voltage"):
         if part not in signals:
@@ -330,7 +314,6 @@ def _valve(
         name=topics.name,
         topics=topics,
         signals=signals,
-        timed=cleaned.timed,
         recorded=cleaned.recorded,
         state=state,
         journal=journal,
@@ -338,12 +321,12 @@ def _valve(
         since=since,
         controller=kinds.get("controller"),
         simulator=kinds.get("valve_simulator"),
-        modes=_modes(topics, said, state, cleaned.timed, since),
+        modes=_modes(topics, said, state, cleaned.recorded, since),
         problems=problems,
         doubts=doubts,
         clock=clock,
-        coarse=cleaned.ties is not None and not cleaned.ties.crossed and (cleaned.ties.several or not rows),
-        paired=rows or (cleaned.ties is not None and cleaned.ties.crossed),
+        coarse=pairs is not None and not pairs.crossed and (pairs.several or not rows),
+        paired=rows or (pairs is not None and pairs.crossed),
     )
 
 
@@ -352,26 +335,6 @@ def _kinds(topics: ValveTopics, nodes: Mapping[str, parameters.Node]) -> dict[st
     kinds = {node.kind: node for node in nodes.values() if node.namespace == topics.namespace and node.kind}
     own = nodes.get((topics.state or topics.journal).rpartition("/")[0])
     return {**kinds, own.kind: own} if own is not None and own.kind in kinds else kinds
-
-
-def _together(signals: Mapping[str, Samples], problems: list[str]) -> dict[str, Samples]:
-    """``signals`` without the messages of those that were recorded hours before or after the readings."""
-    kept = dict(signals)
-    readings = signals.get("spool_position")
-    if readings is None or len(readings.time) == 0:
-        return kept
-    begin, end = int(readings.time[0]), int(readings.time[-1])
-    for part, one in signals.items():
-        if len(one.time) == 0:
-            continue
-        apart = max(begin - int(one.time[-1]), int(one.time[0]) - end) * 1e-9
-        if apart > FAR:
-            problems.append(
-                f"{one.topic} and {readings.topic} have no time in common ({apart / 3600.0:.3g} h lie "
-                f"between them); {one.topic} is left out"
-            )
-            kept[part] = one.pick(slice(0, 0))
-    return kept
 
 
 def _modes(
@@ -421,20 +384,17 @@ def align(valve: ValveRecording) -> Aligned:
     answered: npt.NDArray[np.bool_] = np.ones(len(stamp), dtype=np.bool_)
     voltages = valve.signals.get("valve_voltage")
     if voltages is not None and len(voltages.time):
-        # Where answers take longer than a period, others come between a reading and its own.
-        own = np.arange(len(stamp)) + _lag(valve, stamp, voltages)
-        later = np.minimum(own, len(stamp) - 1)
-        after = np.searchsorted(voltages.time, stamp[later], side="right")
+        after = np.searchsorted(voltages.time, stamp, side="right")
         answer = voltages.time[np.minimum(after, len(voltages.time) - 1)]
-        answered = (answer > stamp[later]) & (answer <= until[later]) & (own == later)
+        answered = (answer > stamp) & (answer <= until)
         if precise:
             latency = seconds(answer[answered], stamp[answered])
         seen = np.where(answered, answer, stamp)
-        newest = np.searchsorted(voltages.time, until[later], side="left") - 1
+        newest = np.searchsorted(voltages.time, until, side="left") - 1
         if precise:
-            due = stamp[later] + round(period * 1e9)
+            due = stamp + round(period * 1e9)
             within = np.searchsorted(voltages.time, due, side="left") - 1
-            gap = until[later] - stamp[later] > LATE * period * 1e9
+            gap = until - stamp > LATE * period * 1e9
             newest = np.where(gap, np.where(answered, np.maximum(within, after), within), newest)
         voltage = _held(voltages, newest)
     command: Floats = np.full(len(stamp), np.nan)
@@ -465,26 +425,6 @@ def voltages_before(valve: ValveRecording, stamp: Integers) -> Floats:
     """Newest recorded voltage [V] before each ``stamp`` [ns]; NaN before the first."""
     voltages = valve.signals["valve_voltage"]
     return _held(voltages, np.searchsorted(voltages.time, stamp, side="left") - 1)
-
-
-def _lag(valve: ValveRecording, stamp: Integers, voltages: Samples) -> int:
-    """Number of readings between a reading and its voltage, as ~/state shows; 0 if it does not."""
-    if valve.state is None:
-        return 0
-    measured, given = valve.state.values["measurement"], valve.state.values["voltage"]
-    rows = np.flatnonzero(np.isfinite(measured) & np.isfinite(given) & (given != 0.0))
-    rows = rows[:: max(1, len(rows) // LAG_ROWS)]
-    readings = valve.signals["spool_position"].value
-    votes = np.zeros(LONGEST_LAG, dtype=np.int64)
-    for row in rows.tolist():
-        newest = int(np.searchsorted(voltages.time, valve.state.stamp[row], side="right"))
-        near = np.flatnonzero(voltages.value[max(0, newest - 3) : newest] == given[row])
-        if len(near) == 0:
-            continue
-        moment = voltages.time[max(0, newest - 3) + int(near[-1])]
-        before = int(np.searchsorted(stamp, moment)) - np.arange(1, LONGEST_LAG + 1)
-        votes += (before >= 0) & (readings[np.maximum(before, 0)] == measured[row])
-    return int(np.argmax(votes))
 
 
 def _held(samples: Samples, index: Integers) -> Floats:

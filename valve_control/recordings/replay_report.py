@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Reports shadow and what-if replays as text, CSV columns, JSON and HTML."""
+"""Reports a shadow or what-if replay: text for a terminal, columns for CSV, JSON and HTML."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,37 @@ from valve_control.recordings.analysis_report import index_table
 from valve_control.recordings.shadow import Shadow
 from valve_control.recordings.what_if import WhatIf
 
+BLACK, BLUE, RED, GREEN = "#000000", "#0072B2", "#D55E00", "#009E73"
+
+
+class Report(NamedTuple):
+    """A replay in all forms in which it is written."""
+
+    title: str
+    lines: list[str]  # for a terminal
+    columns: dict[str, Floats]  # for CSV, the time first
+    about: dict[str, Any]  # for JSON
+    table: tuple[str, str]  # heading and HTML
+    plots: dict[str, list[tuple[str, Floats, str]]]  # by title: lines with label, values and colour
+    left_out: list[str]
+
+    @property
+    def text(self) -> str:
+        """For a terminal."""
+        return "\n".join([*self.lines, *(f"note: {note}" for note in self.left_out)])
+
+    @property
+    def html(self) -> str:
+        """One self-contained page."""
+        time = self.columns["time_s"]
+        plots = [
+            Plot(title, [Line(label, time, values, colour) for label, values, colour in lines])
+            for title, lines in self.plots.items()
+        ]
+        heading, content = self.table
+        sections = {heading: content + notes(self.left_out), "Signals": figure(plots, "time [s]")}
+        return page(self.title, sections)
+
 
 def _effort(voltage: Floats) -> dict[str, float]:
     known = np.isfinite(voltage)
@@ -27,12 +58,13 @@ def _effort(voltage: Floats) -> dict[str, float]:
     return {"u_rms": got.u_rms, "c_u": got.c_u, "max": float(np.max(np.abs(voltage[known])))}
 
 
-def shadow_dict(result: Shadow, bag: str, valve: str) -> dict[str, Any]:
-    """A shadow replay for JSON."""
+def of_shadow(result: Shadow, bag: str, valve: str) -> Report:
+    """Report of a shadow replay."""
     both = np.isfinite(result.recorded)
     difference = result.voltage[both] - result.recorded[both]
     first = result.first_difference
-    return {
+    efforts = {"recorded": _effort(result.recorded), "shadow": _effort(result.voltage)}
+    about = {
         "bag": bag,
         "valve": valve,
         "mode": "shadow",
@@ -45,158 +77,104 @@ def shadow_dict(result: Shadow, bag: str, valve: str) -> dict[str, Any]:
         "first_difference_s": None if first is None else float(result.time[first]),
         "difference_max_V": float(np.max(np.abs(difference))) if len(difference) else None,
         "difference_rms_V": rms(difference) if len(difference) else None,
-        "recorded": _effort(result.recorded),
-        "shadow": _effort(result.voltage),
+        **efforts,
         "left_out": result.left_out,
     }
-
-
-def shadow_text(result: Shadow) -> str:
-    """A shadow replay for a terminal."""
-    about = shadow_dict(result, "", "")
-    lines = [
-        f"shadow of {result.controller}, {about['samples']} samples"
-        + (", recorded parameters" if result.faithful else "")
-    ]
-    lines.append(f"{'voltage':14}{'u_rms [V]':>11}{'c_u':>9}{'max [V]':>9}")
-    for name in ("recorded", "shadow"):
-        effort = about[name]
-        lines.append(f"{name:14}{effort['u_rms']:11.4f}{effort['c_u']:9.4f}{effort['max']:9.3f}")
     if about["bit_equal"]:
-        lines.append(f"all {about['compared']} recorded voltages are the shadow's, bit for bit")
-    elif about["compared"]:
-        lines.append(
+        outcome = f"all {about['compared']} recorded voltages are the shadow's, bit for bit"
+    elif first is not None:
+        outcome = (
             f"{about['differing']} of {about['compared']} voltages differ, the first at "
             f"{about['first_difference_s']:.3f} s; by at most {about['difference_max_V']:.4g} V, "
             f"rms {about['difference_rms_V']:.4g} V"
         )
     else:
-        lines.append("the bag has no voltage to compare with")
-    return "\n".join([*lines, *(f"note: {text}" for text in result.left_out)])
-
-
-def shadow_columns(result: Shadow) -> dict[str, Floats]:
-    """A shadow replay for CSV."""
-    return {
-        "time_s": result.time,
-        "command_V": result.command,
-        "measurement_V": result.measurement,
-        "recorded_voltage_V": result.recorded,
-        "shadow_voltage_V": result.voltage,
-    }
-
-
-def shadow_page(result: Shadow, bag: str) -> str:
-    """A shadow replay as an HTML page."""
-    about = shadow_dict(result, bag, "")
-    rows = [(name, *(f"{value:.4f}" for value in about[name].values())) for name in ("recorded", "shadow")]
-    time = result.time
-    plots = [
-        Plot(
-            "spool position [V]",
-            [Line("command", time, result.command, "#000000"), Line("measurement", time, result.measurement)],
-        ),
-        Plot(
-            "voltage [V]",
-            [
-                Line("recorded", time, result.recorded, "#0072B2"),
-                Line("shadow", time, result.voltage, "#D55E00"),
-            ],
-        ),
-        Plot(
-            "shadow - recorded [V]", [Line("difference", time, result.voltage - result.recorded, "#009E73")]
-        ),
-    ]
-    sections = {
-        "Voltage": table(["", "u_rms [V]", "c_u", "max [V]"], rows)
-        + f"<p>{shadow_text(result).splitlines()[4]}</p>"
-        + notes(result.left_out),
-        "Signals": figure(plots, "time [s]"),
-    }
-    return page(f"{bag}: shadow replay with {result.controller}", sections)
-
-
-def _both(result: WhatIf) -> tuple[Any, Any]:
-    recorded = segment_indices(result.original, Segment("run", "", 0, len(result.original.time)))
-    return recorded, result.run.indices
-
-
-def what_if_dict(result: WhatIf, bag: str, valve: str) -> dict[str, Any]:
-    """A what-if replay for JSON."""
-    recorded, simulated = _both(result)
-    return {
-        "bag": bag,
-        "valve": valve,
-        "mode": "what-if",
-        "controller": result.run.controller,
-        "samples": len(result.time),
-        "recorded": recorded._asdict(),
-        "simulated": simulated._asdict(),
-        "true_error": result.run.true_error,
-        "measurement_distance_rms_V": result.distance,
-        "theta": result.run.theta,
-        **limit_cycle.as_dict(result.run.saturated, result.run.limit_cycle),
-        "warning": result.run.warning or None,
-        "left_out": result.left_out,
-    }
-
-
-def what_if_text(result: WhatIf) -> str:
-    """A what-if replay for a terminal."""
-    recorded, simulated = _both(result)
+        outcome = "the bag has no voltage to compare with"
+    parameters = ", recorded parameters" if result.faithful else ""
     lines = [
-        HEADER,
-        index_row("recorded", recorded),
-        index_row(f"what-if {result.run.controller}", simulated),
-        f"simulated minus recorded measurement: {result.distance:.4g} V rms",
+        f"shadow of {result.controller}, {len(result.time)} samples{parameters}",
+        f"{'voltage':14}{'u_rms [V]':>11}{'c_u':>9}{'max [V]':>9}",
+        *(f"{name:14}{e['u_rms']:11.4f}{e['c_u']:9.4f}{e['max']:9.3f}" for name, e in efforts.items()),
+        outcome,
     ]
-    cycle = limit_cycle.in_words(result.run.saturated, result.run.limit_cycle)
-    if cycle:
-        lines.append(f"simulated: {cycle}")
-    return "\n".join([*lines, *(f"note: {text}" for text in result.left_out)])
-
-
-def what_if_columns(result: WhatIf) -> dict[str, Floats]:
-    """A what-if replay for CSV."""
-    return {
-        "time_s": result.time,
-        "command_V": result.recorded.command,
-        "recorded_measurement_V": result.recorded.measurement,
-        "recorded_voltage_V": result.recorded.voltage,
-        "simulated_measurement_V": result.run.measurement,
-        "simulated_position_V": result.run.position,
-        "simulated_voltage_V": result.run.voltage,
-    }
-
-
-def what_if_page(result: WhatIf, bag: str) -> str:
-    """A what-if replay as an HTML page."""
-    recorded, simulated = _both(result)
-    time, was, run = result.time, result.recorded, result.run
-    plots = [
-        Plot(
-            "spool position [V]",
-            [
-                Line("command", time, was.command, "#000000"),
-                Line("recorded", time, was.measurement, "#0072B2"),
-                Line("what-if", time, run.measurement, "#D55E00"),
+    rows = [(name, *(f"{value:.4f}" for value in effort.values())) for name, effort in efforts.items()]
+    return Report(
+        title=f"{bag}: shadow replay with {result.controller}",
+        lines=lines,
+        columns={
+            "time_s": result.time,
+            "command_V": result.command,
+            "measurement_V": result.measurement,
+            "recorded_voltage_V": result.recorded,
+            "shadow_voltage_V": result.voltage,
+        },
+        about=about,
+        table=("Voltage", table(["", "u_rms [V]", "c_u", "max [V]"], rows) + f"<p>{outcome}</p>"),
+        plots={
+            "spool position [V]": [
+                ("command", result.command, BLACK),
+                ("measurement", result.measurement, BLUE),
             ],
+            "voltage [V]": [("recorded", result.recorded, BLUE), ("shadow", result.voltage, RED)],
+            "shadow - recorded [V]": [("difference", result.voltage - result.recorded, GREEN)],
+        },
+        left_out=result.left_out,
+    )
+
+
+def of_what_if(result: WhatIf, bag: str, valve: str) -> Report:
+    """Report of a what-if replay."""
+    was, run = result.recorded, result.run
+    recorded = segment_indices(result.original, Segment("run", "", 0, len(result.original.time)))
+    cycle = limit_cycle.in_words(run.saturated, run.limit_cycle)
+    return Report(
+        title=f"{bag}: what-if replay with {run.controller}",
+        lines=[
+            HEADER,
+            index_row("recorded", recorded),
+            index_row(f"what-if {run.controller}", run.indices),
+            f"simulated minus recorded measurement: {result.distance:.4g} V rms",
+            *([f"simulated: {cycle}"] if cycle else []),
+        ],
+        columns={
+            "time_s": result.time,
+            "command_V": was.command,
+            "recorded_measurement_V": was.measurement,
+            "recorded_voltage_V": was.voltage,
+            "simulated_measurement_V": run.measurement,
+            "simulated_position_V": run.position,
+            "simulated_voltage_V": run.voltage,
+        },
+        about={
+            "bag": bag,
+            "valve": valve,
+            "mode": "what-if",
+            "controller": run.controller,
+            "samples": len(result.time),
+            "recorded": recorded._asdict(),
+            "simulated": run.indices._asdict(),
+            "true_error": run.true_error,
+            "measurement_distance_rms_V": result.distance,
+            "theta": run.theta,
+            **limit_cycle.as_dict(run.saturated, run.limit_cycle),
+            "warning": run.warning or None,
+            "left_out": result.left_out,
+        },
+        table=(
+            "Indices",
+            index_table([("recorded", "", recorded, ""), ("what-if", run.controller, run.indices, "")]),
         ),
-        Plot(
-            "error [V]",
-            [
-                Line("recorded", time, was.measurement - was.command, "#0072B2"),
-                Line("what-if", time, run.measurement - was.command, "#D55E00"),
+        plots={
+            "spool position [V]": [
+                ("command", was.command, BLACK),
+                ("recorded", was.measurement, BLUE),
+                ("what-if", run.measurement, RED),
             ],
-        ),
-        Plot(
-            "voltage [V]",
-            [Line("recorded", time, was.voltage, "#0072B2"), Line("what-if", time, run.voltage, "#D55E00")],
-        ),
-    ]
-    rows = [("recorded", "", recorded, ""), ("what-if", run.controller, simulated, "")]
-    sections = {
-        "Indices": index_table(rows) + notes(result.left_out),
-        "Signals": figure(plots, "time [s]"),
-    }
-    return page(f"{bag}: what-if replay with {run.controller}", sections)
+            "error [V]": [
+                ("recorded", was.measurement - was.command, BLUE),
+                ("what-if", run.measurement - was.command, RED),
+            ],
+            "voltage [V]": [("recorded", was.voltage, BLUE), ("what-if", run.voltage, RED)],
+        },
+        left_out=result.left_out,
+    )

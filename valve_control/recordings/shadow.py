@@ -25,7 +25,8 @@ from valve_control.control.supervision.state_snapshot import restore, snapshot
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.cleaning import Samples, seconds
+from valve_control.recordings.cleaning import seconds
+from valve_control.recordings.pairing import Samples
 from valve_control.recordings.recording import ValveRecording
 
 Row = tuple[int, float, float, float, float]  # time [ns], command, reading, recorded and shadow voltage [V]

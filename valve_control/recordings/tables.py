@@ -17,7 +17,6 @@ from valve_control.recordings.bags.table import KINDS, TableFile
 
 TIME = "time"
 ROW = "row"  # the number of a row from 0, as in time=row*0.001
-OF_FILE = re.compile(rf"(?P<file>[^:]+(?:{'|'.join(map(re.escape, KINDS))})):(?P<column>.+)", re.IGNORECASE)
 SCALED = re.compile(r"(?P<column>.+?)\s*(?P<scale>@[^@]+|\*[^*]+)")
 USUAL = re.compile(
     r"(?:time|t|zeit|(?P<stamp>(?:time)?stamp))(?:[\s_]*[\[(]\s*|[\s_]+|$)(?P<unit>s|sec|ms|us|µs|ns|)\s*[\])]?",
@@ -27,35 +26,14 @@ UNITS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns
 LONGEST = 9e9  # s, as long as nanoseconds can be counted
 
 
-def split_file(right: str, named: Sequence[str] = ()) -> tuple[str, str]:
-    """``FILE:column`` as name of the table ("" without one) and the rest; ``named``: columns' own names."""
-    found = OF_FILE.fullmatch(right)
-    return (
-        ("", right) if found is None or right in named else (found["file"].strip(), found["column"].strip())
-    )
-
-
-def is_of(path: Path, file: str) -> bool:
-    """Whether ``file``, as a user named it, is the table ``path``."""
-    return file in ("", str(path), path.name)
-
-
 def maps_of(path: str, maps: Sequence[str], paths: Sequence[str]) -> list[str]:
-    """Those of the ``maps`` that are for ``path`` where all of ``paths`` are read.
+    """Those of the ``maps`` that are for ``path``, if tables and bags are among the ``paths`` that are read.
 
-    Left out are maps that name another of the files, and times where ``path`` is no table.
+    Maps of a table name columns, those of a bag topics, which begin with a slash.
     """
-    kept = []
-    for text in maps:
-        left, _, right = text.partition("=")
-        file, _ = split_file(right.strip())
-        others = [Path(other) for other in paths if other != path]
-        if file and not is_of(Path(path), file) and any(is_of(other, file) for other in others):
-            continue
-        if left.strip() == TIME and not is_table(path) and any(map(is_table, paths)):
-            continue
-        kept.append(text)
-    return kept
+    if len({is_table(other) for other in paths}) < 2:
+        return list(maps)
+    return [text for text in maps if text.partition("=")[2].strip().startswith("/") != is_table(path)]
 
 
 def is_table(path: Path | str) -> bool:
@@ -64,14 +42,11 @@ def is_table(path: Path | str) -> bool:
 
 
 def column_of(table: TableFile, text: str) -> tuple[str, Scale]:
-    """Column and scale that the map ``text`` names behind its ``=``: ``[FILE:]column[*factor±offset]``.
+    """Column and scale that the map ``text`` names behind its ``=``: ``column[*factor±offset]``.
 
     A column is taken by its exact name, or by its number from 1. Raises BagError.
     """
     right = text.partition("=")[2].strip()
-    file, right = split_file(right, [column.name for column in table.columns])
-    if not is_of(table.path, file):
-        raise BagError(f"--map {text}: {file} is not the table that is read, which is {table.path}")
     if table.named(right):
         return right, Scale(1.0)
     found = SCALED.fullmatch(right)

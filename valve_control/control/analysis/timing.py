@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures how regularly the messages of a topic came: rate, jitter, gaps, order."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter, minimum_filter1d
+from scipy.ndimage import minimum_filter1d
 
 from valve_control.arrays import Floats, Integers
 from valve_control.control.analysis.indices import PAUSE
@@ -19,8 +19,8 @@ LEAST = 200  # readings from which a period is measured
 REGULAR = 0.3  # part of the mean by which the usual interval of messages that come regularly may differ
 ON_GRID = 0.1  # of that interval by which its multiples may differ where messages are missing ...
 MOSTLY = 0.95  # ... and share of the intervals that are such multiples
-DEVIATION = 0.02  # of the period from the one that is wanted, beyond which it is reported ...
-PART_DEVIATION = 0.1  # ... or where that of the whole is right: of some hundred readings jitter shows more
+DEVIATION = 0.02  # of the period from the one that is wanted, beyond which it is reported
+PART_DEVIATION = 0.1  # by which the period of a recorded test may differ from its own
 
 
 class Spread(NamedTuple):
@@ -41,14 +41,6 @@ class Timing(NamedTuple):
     gaps: int | None  # intervals longer than LATE periods, None where the stamps are too coarse for it
     longest_gap_s: float
     lost: int | None  # by the publisher's sequence numbers, None where the bag has none
-
-
-class Stretch(NamedTuple):
-    """Readings from ``start`` to before ``end`` whose period differs from the wanted one."""
-
-    start: int
-    end: int
-    period: float  # s
 
 
 def spread(durations: Floats) -> Spread:
@@ -212,43 +204,3 @@ def latencies(sent: Floats, answers: Floats) -> Floats:
     answered = (answer > sent) & (answer <= np.append(sent[1:], np.inf))
     waited: Floats = (answer - sent)[answered]
     return waited
-
-
-def deviating(time: Integers, sequence: Integers, wanted: float, parts: bool = True) -> list[Stretch]:
-    """Stretches where the period differs from ``wanted`` [s]; a single one if that of the whole does.
-
-    Else, if ``parts`` are asked for, those of LEAST readings and more that differ by PART_DEVIATION. Pauses
-    are none, and without numbers neither are losses: of a part, or without numbers, the usual interval must
-    differ too, by half as much. For parts, times must be those of sending: a recorder that stands still and
-    catches up looks like parts of another rate.
-    """
-    whole = true_period(time, sequence)
-    if not np.isfinite(whole):
-        return []
-    numbered = lost_messages(sequence) is not None
-    usual = whole if numbered else float(np.median(np.diff(time))) * 1e-9
-    if _differs(whole, usual, wanted, DEVIATION):
-        return [Stretch(0, len(time), whole)]
-    if not parts:
-        return []
-    numbers = sequence if numbered else np.arange(len(time), dtype=np.int64)
-    # A pause is in as many slopes as there are readings between their two.
-    slopes, intervals = (
-        np.pad(filtered, (apart // 2, apart - apart // 2), "edge")
-        for apart in (APART, 1)
-        for filtered in (median_filter(np.nan_to_num(_slopes(time, numbers, apart)), 2 * APART + 1),)
-    )
-    away = _differs(slopes, intervals, wanted, PART_DEVIATION)
-    edges = np.flatnonzero(np.diff(away, prepend=0, append=0))
-    return [
-        Stretch(start, end, float(np.nanmedian(_slopes(time[start:end], numbers[start:end], APART))))
-        for start, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-        if away[start] and end - start >= LEAST
-    ]
-
-
-def _differs(slope: Any, interval: Any, wanted: float, limit: float) -> Any:
-    """1 or -1 where a period is longer or shorter than ``wanted`` [s], by slope and by usual interval."""
-    by_slope, by_interval = (np.asarray(period) / wanted - 1.0 for period in (slope, interval))
-    differs = (np.abs(by_slope) > limit) & (by_interval * np.sign(by_slope) > 0.5 * np.abs(by_slope))
-    return np.where(differs, np.sign(by_slope), 0.0).astype(np.int8)

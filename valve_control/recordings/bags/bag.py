@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Opens a bag from any recorder: a folder with or without metadata.yaml, a single file, or a table."""
 
-import re
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,10 +13,9 @@ import numpy.typing as npt
 from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags import metadata as bag_metadata
 from valve_control.recordings.bags.cdr import Decoder
-from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.messages import CDR, Block, Topic, absolute
-from valve_control.recordings.bags.placeholders import PlaceholderError, refuse
-from valve_control.recordings.bags.sqlite import HEAD, SqliteFile
+from valve_control.recordings.bags.errors import BagError, PointerError, refuse_pointer
+from valve_control.recordings.bags.messages import Block, Topic
+from valve_control.recordings.bags.sqlite import SALVAGE, SqliteFile
 from valve_control.recordings.bags.table import KINDS as TABLES
 from valve_control.recordings.bags.table import TableFile
 
@@ -26,12 +24,9 @@ if TYPE_CHECKING:
 
     File = McapFile | SqliteFile | TableFile
 
-T = TypeVar("T")
 KINDS = {".mcap": "mcap", ".db3": "sqlite3"}  # storage by suffix
 ZSTD = (".zstd", ".zst")
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-ADVICE = re.compile(r" \(valve-control bag recover [^)]*\)")  # does not help where rosbag2 compressed
-MANY = 500_000  # messages that are kept of a sparse topic
 FAR = 3600.0  # s between two stamps of one recording from which on they belong to different stretches of time
 
 
@@ -82,22 +77,6 @@ def stretch(time: Integers) -> tuple[int, int]:
     return int(ordered[bounds[longest]]), int(ordered[bounds[longest + 1] - 1])
 
 
-def times(block: Block | None) -> Integers:
-    """Log times [ns] of the first messages of a file, whose ``head`` is ``block``."""
-    return np.empty(0, dtype=np.int64) if block is None else block.log_time[:HEAD]
-
-
-def in_order(files: Sequence[T], heads: Sequence[Integers]) -> list[T]:
-    """``files`` by the log times [ns] of their first messages, the middle one of them.
-
-    One without messages stays behind the one before it.
-    """
-    keys = [0]
-    for head in heads:
-        keys.append(int(np.sort(head)[len(head) // 2]) if len(head) else keys[-1])
-    return [file for _, file in sorted(zip(keys[1:], files, strict=True), key=lambda entry: entry[0])]
-
-
 class Bag:
     """An open bag with its topics and files.
 
@@ -113,9 +92,7 @@ class Bag:
         self.version: int | None = None  # of metadata.yaml
         self.distribution = ""
         self._unpacked: tempfile.TemporaryDirectory[str] | None = None
-        self._formats: dict[
-            str, str
-        ] = {}  # serialization of topics, where metadata.yaml has another than CDR
+        self._formats: dict[str, str] = {}  # serialization of topics, where it is another than CDR
         try:
             self._files = self._open()
         except OSError as error:
@@ -123,9 +100,9 @@ class Bag:
                 f"{error.filename or self.path} cannot be read: {error.strerror or error}"
             ) from error
         for file in self._files:
-            self.problems += [self._advised(problem) for problem in file.problems]
-            for told in file.topics:
-                topic = self._as_told(told)
+            self.problems += file.problems
+            for own in file.topics:
+                topic = self._as_listed(own)
                 known = self.topics.setdefault(topic.name, topic)
                 for what, one, other in (
                     ("types", known.type, topic.type),
@@ -166,9 +143,19 @@ class Bag:
         """Log time [ns] of the first message, 0 if there are none; not of one hours from all near it."""
         if self.table is not None:
             return int(self.table.times[0]) if len(self.table.times) else 0
-        # A piece may hold nothing: messages of channels that a damaged file does not describe.
-        firsts = (next((b for b in file.blocks() if len(b.topic)), None) for file in self._files)
-        return min((stretch(block.log_time)[0] for block in firsts if block is not None), default=0)
+        firsts = filter(None, map(_first_block, self._files))
+        return min((stretch(block.log_time)[0] for block in firsts), default=0)
+
+    @property
+    def damaged_chunks(self) -> int:
+        """Number of chunks of MCAP files that were left out, of those read so far."""
+        return sum(getattr(file, "damaged_chunks", 0) for file in self._files)
+
+    def refuse_salvage(self) -> None:
+        """Raise BagError if a database that was read turned out to be damaged."""
+        for file in self._files:
+            if isinstance(file, SqliteFile) and file.damaged:
+                raise BagError(f"{file.path} is damaged; {SALVAGE}")
 
     def close(self) -> None:
         """Close the files; nothing can be read afterwards."""
@@ -184,16 +171,16 @@ class Bag:
         topics: Collection[str],
         start: int | None = None,
         end: int | None = None,
-        told: Callable[[int], None] | None = None,
+        progress: Callable[[int], None] | None = None,
     ) -> Iterator[tuple[str, Block]]:
         """Yield messages of ``topics`` in blocks, each of one topic; ``start``, ``end`` [ns]: log times."""
         before = 0
         for file in self._files:
-            names = [t.name if self._is_known(self._as_told(t)) else "" for t in file.topics]
+            names = [t.name if self._is_known(self._as_listed(t)) else "" for t in file.topics]
             wanted = [i for i, name in enumerate(names) if name in topics]
             if isinstance(file, TableFile):
                 file.wanted = wanted
-            for block in file.blocks(start, end, told):
+            for block in file.blocks(start, end, progress):
                 block = block._replace(place=before + block.place)
                 before = int(block.place[-1]) + 1 if len(block.place) else before
                 for i in wanted:
@@ -203,7 +190,19 @@ class Bag:
                     part = block if len(chosen) == len(block.topic) else block.select(chosen)
                     yield names[i], self._decompressed(part) if self.compression == "message" else part
             for problem in file.problems:
-                self._complain(self._advised(problem))
+                self._complain(problem)
+
+    def in_file_order(self) -> Iterator[tuple[str, int, int, int, bytes]]:
+        """Yield topic, log time [ns], publish time [ns], number and content of all messages."""
+        for file in self._files:
+            names = [t.name if self._is_known(self._as_listed(t)) else "" for t in file.topics]
+            for block in file.blocks():
+                part = self._decompressed(block) if self.compression == "message" else block
+                columns = (part.topic, part.log_time, part.publish_time, part.sequence)
+                rows = zip(*(c.tolist() for c in (*columns, part.offset, part.length)), strict=True)
+                for topic, log, publish, number, at, size in rows:
+                    if names[topic]:
+                        yield names[topic], log, publish, number, part.buffer[at : at + size].tobytes()
 
     def read(
         self,
@@ -212,19 +211,19 @@ class Bag:
         sparse: Collection[str] = (),
         start: int | None = None,
         end: int | None = None,
-        told: Callable[[int], None] | None = None,
+        progress: Callable[[int], None] | None = None,
     ) -> dict[str, Series]:
         """Read numeric ``fields`` of topics, and whole messages of the topics in ``raw``.
 
-        Of topics in ``sparse`` only every second, fourth, ... message is kept once there are many, and fields
-        that a message does not have are NaN. ``told`` is called with the number of bytes read since its
-        last call. Raises BagError if there is no such topic, or its type is unknown.
+        Of topics in ``sparse`` fields that a message does not have are NaN. ``progress`` is called with the
+        number of bytes read since its last call. Raises BagError if there is no such topic, or its type is
+        unknown.
         """
         collected = {
             name: _Collector(self.topic(name), fields.get(name, ()), name in raw, name in sparse)
             for name in {*fields, *raw}
         }
-        for name, block in self.blocks(collected, start, end, told):
+        for name, block in self.blocks(collected, start, end, progress):
             collected[name].take(block)
         return {name: collector.series() for name, collector in collected.items()}
 
@@ -265,23 +264,16 @@ class Bag:
             try:
                 files.append(self._file(path))
             except (BagError, OSError) as error:
-                text = (
-                    str(error) if isinstance(error, BagError) else f"{path} cannot be read: {error.strerror}"
-                )
-                refused.append(text)
+                refused.append(str(error))
         if not files:
             raise BagError("; ".join(refused))
         self.problems += [f"{text}, it is left out" for text in refused]
-        ordered = in_order(files, [times(file.head()) for file in files]) if len(files) > 1 else files
-        if ordered != files and not flaw:
-            self._complain(
-                f"metadata.yaml of {self.path} does not list the files in the order of their times, "
-                "in which they are read"
-            )
-        self._recognise(ordered)
+        if len(files) > 1:
+            files.sort(key=_begin)
+        self._recognise(files)
         if flaw:
-            self._complain(self._advised(flaw))
-        return ordered
+            self._complain(flaw)
+        return files
 
     def _listed(self, found: list[Path]) -> tuple[list[Path], str]:
         """Files of the bag out of those ``found`` in its folder, and what is wrong with its metadata.yaml."""
@@ -291,47 +283,35 @@ class Bag:
                     f"{self.path} is not a bag: it has neither metadata.yaml nor .mcap nor .db3 files"
                 )
             return found, (
-                f"{self.path} is unfinished: it has no metadata.yaml "
-                "(valve-control bag recover makes it whole)"
+                f"{self.path} is unfinished: it has no metadata.yaml (valve-control bag recover writes a "
+                "finished copy)"
             )
         try:
-            told = bag_metadata.read(self.path)
-        except bag_metadata.UnknownVersionError:
-            raise
+            listing = bag_metadata.read(self.path)
+        except PointerError as error:
+            return found, f"{error}; it is not used"
         except BagError as error:
-            advice = (
-                " (valve-control bag recover writes it anew)"
-                if (self.path / bag_metadata.NAME).is_file() and not isinstance(error, PlaceholderError)
-                else ""
+            return found, f"{error}; it is not used (valve-control bag recover writes a copy with a new one)"
+        if listing.version > bag_metadata.VERSION:
+            raise BagError(
+                f"{self.path} is a bag of version {listing.version}; versions up to {bag_metadata.VERSION} "
+                "are known"
             )
-            if not found:
-                raise
-            return found, f"{error}; it is not used{advice}"
-        self.version = told.version
-        self.distribution = told.ros_distro
-        self.compression = told.compression_mode.lower() if told.compression_mode.lower() != "none" else ""
-        if self.compression and told.compression_format != "zstd":
-            raise BagError(f"{self.path} is compressed with {told.compression_format!r}; zstd is known")
-        self._formats = {
-            absolute(topic.name): topic.serialization_format
-            for topic, _ in told.topics
-            if topic.serialization_format != CDR
-        }
-        paths = [self.path / name for name in dict.fromkeys(told.relative_file_paths)]
-        missing = [path for path in paths if not path.exists()]
-        for path in missing:
-            self._complain(f"{path.name}, which metadata.yaml names, is missing")
-        if len(missing) == len(paths):
+        self.version, self.distribution = listing.version, listing.distribution
+        self.compression, self._formats = listing.compression, listing.formats
+        paths = [self.path / name for name in listing.files]
+        for path in paths:
+            if not path.exists():
+                self._complain(f"{path.name}, which metadata.yaml names, is missing")
+        present = [path for path in paths if path.exists()]
+        if not present:
             raise BagError(f"{self.path} has none of the files that its metadata.yaml names")
         for path in found:
             if path not in paths:
                 self._complain(
-                    self._advised(
-                        f"{path.name} lies in the folder, but metadata.yaml does not list it: it is not read "
-                        "(valve-control bag recover takes it in, unless it is a copy of a listed one)"
-                    )
+                    f"{path.name} lies in the folder, but metadata.yaml does not list it: not read"
                 )
-        return [path for path in paths if path.exists()], ""
+        return present, ""
 
     def _recognise(self, files: "Sequence[File]") -> None:
         """Find out whether rosbag2 compressed the messages, where no metadata.yaml says it."""
@@ -340,21 +320,17 @@ class Bag:
         if self._unpacked is not None:
             self.compression = "file"
             return
-        block = next((block for file in files if (block := file.head()) is not None), None)
+        block = next(filter(None, map(_first_block, files)), None)
         if block is None:
             return
-        starts = block.buffer[block.offset[block.length >= 4][:HEAD, None] + np.arange(4)]
-        if (starts == np.frombuffer(ZSTD_MAGIC, np.uint8)).all(axis=1).any():
+        at = int(block.offset[0])
+        if block.buffer[at : at + len(ZSTD_MAGIC)].tobytes() == ZSTD_MAGIC:
             self.compression = "message"
             self._complain(
                 f"messages of {self.path} are compressed with zstd, though no metadata.yaml says so"
             )
 
-    def _advised(self, problem: str) -> str:
-        """``problem`` without the advice to recover, which compressed bags cannot take."""
-        return ADVICE.sub("", problem) if self.compression else problem
-
-    def _as_told(self, topic: Topic) -> Topic:
+    def _as_listed(self, topic: Topic) -> Topic:
         """``topic`` with the serialization that metadata.yaml names, if that is another than CDR."""
         return topic._replace(encoding=self._formats.get(topic.name, topic.encoding))
 
@@ -372,15 +348,13 @@ class Bag:
                 f"{path} is not a bag; a bag is a folder with metadata.yaml, an .mcap or a .db3 file, or a "
                 f"table of numbers ({', '.join(TABLES)})"
             )
-        refuse(path)
+        refuse_pointer(path)
         self.storage = KINDS[suffix]
         plain = self._unpack(path) if path.suffix in ZSTD else path
         if self.storage == "sqlite3":
             return SqliteFile(plain)
-        try:
-            from valve_control.recordings.bags.mcap import McapFile
-        except ModuleNotFoundError as error:  # mcap brings zstandard and lz4 along
-            raise ModuleNotFoundError(str(error), name="mcap") from error
+        from valve_control.recordings.bags.mcap import McapFile
+
         return McapFile(plain)
 
     def _unpack(self, path: Path) -> Path:
@@ -424,6 +398,17 @@ def _plain_suffix(path: Path) -> str:
     return Path(path.stem).suffix if path.suffix in ZSTD else path.suffix
 
 
+def _first_block(file: "File") -> Block | None:
+    """The first messages of a file, None if it has none."""
+    return next((block for block in file.blocks() if len(block.topic)), None)
+
+
+def _begin(file: "File") -> int:
+    """Log time [ns] of the first message of a file; files without one come last."""
+    block = _first_block(file)
+    return 2**63 if block is None else int(block.log_time[0])
+
+
 class _Collector:
     """Collects the columns of one topic, block by block."""
 
@@ -431,8 +416,6 @@ class _Collector:
         # Each field has a decoder: messages of one publisher may have one, those of another the other.
         groups = [fields] if sparse and fields else [[field] for field in fields]
         self._decoders = [Decoder(topic, group, optional=sparse) for group in groups]
-        self._sparse = sparse
-        self._stride, self._seen, self._kept = 1, 0, 0
         self._fields = tuple(fields)
         self._keep_raw = raw
         # Piece by piece: log time, publish time, sequence, place, fields.
@@ -443,8 +426,6 @@ class _Collector:
         self._undecodable = 0
 
     def take(self, block: Block) -> None:
-        if self._sparse:
-            block = self._thinned(block)
         values = np.empty((len(block.topic), 0))
         if self._decoders:
             before = self._decoders[0].absent
@@ -465,21 +446,6 @@ class _Collector:
             pieces.append(column.copy())
         for k, numbers in enumerate(self._floats):
             numbers.append(values[:, k].copy())
-
-    def _thinned(self, block: Block) -> Block:
-        """Every ``stride``-th message, counted from the first of the topic."""
-        count = len(block.topic)
-        while self._kept + count // self._stride > MANY:
-            self._stride *= 2
-            for times in self._integers:
-                times[:] = [_joined(times, np.int64)[::2]]
-            for numbers in self._floats:
-                numbers[:] = [_joined(numbers, np.float64)[::2]]
-            self._kept = len(self._integers[0][0])
-        chosen = np.arange(-self._seen % self._stride, count, self._stride)
-        self._seen += count
-        self._kept += len(chosen)
-        return block.select(chosen)
 
     def series(self) -> Series:
         masks = [

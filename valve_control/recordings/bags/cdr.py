@@ -199,6 +199,21 @@ def jazzy() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
+def deserialized(raw: bytes, kind: str) -> Any:
+    """The message of type ``kind`` of ROS 2 Jazzy, None if it cannot be decoded.
+
+    What rclpy serializes may have bytes to spare at its end.
+    """
+    if len(raw) < HEADER or raw[0] != 0 or raw[1] > 1:
+        return None
+    definition = jazzy().get_msgdef(kind)
+    decode = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
+    try:
+        return decode(raw[HEADER:], 0, definition.cls, jazzy())[0]
+    except UNDECODABLE:
+        return None
+
+
 def types_of(topic: Topic) -> Any:
     """Field definitions for the topic's type: the bag's own, completed by those of ROS 2 Jazzy.
 

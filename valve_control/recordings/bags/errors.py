@@ -1,8 +1,15 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Defines the errors that say in one sentence what is wrong with a bag."""
+"""Defines the error that says what is wrong with a bag, and refuses pointers to files."""
+
+from pathlib import Path
 
 LONGEST = 600  # characters
+# How the small files begin that version control leaves in the place of large ones, and what fetches these.
+POINTERS = {
+    b"version https://git-lfs.github.com/spec/": ("a Git LFS pointer", "git lfs pull"),
+    b"/annex/objects/": ("a git-annex pointer", "git annex get"),
+}
 
 
 class BagError(ValueError):
@@ -16,5 +23,14 @@ class BagError(ValueError):
         return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
 
 
-class NothingError(BagError):
-    """Says that nothing of a bag can be read in a file."""
+class PointerError(BagError):
+    """Says that a file only stands for another one that was not fetched."""
+
+
+def refuse_pointer(path: Path) -> None:
+    """Raise PointerError if ``path`` only stands for a file that was not fetched, OSError."""
+    with path.open("rb") as stream:
+        head = stream.read(100)
+    for begin, (name, remedy) in POINTERS.items():
+        if head.startswith(begin):
+            raise PointerError(f"{path} is {name}, not the file itself; run {remedy}")

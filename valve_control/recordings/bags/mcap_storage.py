@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Storage file of a new bag: MCAP."""
 
+import copy
 import errno
 import os
 from pathlib import Path
@@ -9,13 +10,13 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
-from valve_control.recordings.bags import metadata, repair
+from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.metadata import TopicMetadata
-from valve_control.recordings.bags.salvage import Salvage
-from valve_control.recordings.bags.storage import OVERHEAD, PENDING
+from valve_control.recordings.bags.storage import OVERHEAD, PENDING, Definition
 
 COMPRESSION = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
 LIBRARY = "valve_control"
+OWN = "_Writer__"  # prefix of the state of mcap's writer
 
 
 class Output:
@@ -50,11 +51,10 @@ class Output:
         return os.path.samestat(os.fstat(self._file.fileno()), path.stat())
 
     def take_back(self) -> None:
-        """Truncate to the last successful flush, and close. Raises OSError."""
-        try:
-            self._file.truncate(self.flushed)
-        finally:
-            self._file.close()
+        """Go back to the last successful flush. Raises OSError."""
+        self._waiting.clear()
+        self._position = self._file.seek(self.flushed)
+        self._file.truncate()
 
     def close(self) -> None:
         """Close the file."""
@@ -75,11 +75,11 @@ class McapStorage:
         self._writer.start("ros2", LIBRARY)
         self.flush()
 
-    def add_topic(self, topic: TopicMetadata, definition: str) -> None:
+    def add_topic(self, topic: TopicMetadata, definition: Definition) -> None:
         """Add a channel, and the schema of its type."""
         if topic.type not in self._schemas:
             self._schemas[topic.type] = self._writer.register_schema(
-                topic.type, "ros2msg" if definition else "", definition.encode()
+                topic.type, definition.format, definition.text.encode()
             )
         self._channels[topic.name] = self._writer.register_channel(
             topic.name,
@@ -104,20 +104,30 @@ class McapStorage:
         """End the open chunk and write it."""
         self._writer.flush()
         self.pending = 0
+        state = vars(self._writer)  # the library has no way back from a failed write
+        self._flushed = len(state[f"{OWN}chunk_indices"]), copy.deepcopy(state[f"{OWN}statistics"])
 
     def finish(self, text: str) -> None:
         """Write summary and footer."""
         self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
+        self._end()
+
+    def abandon(self) -> None:
+        """Go back to the last flush, and finish the file if there is room for its summary."""
+        try:
+            if not self._output.is_at(self.path):
+                raise FileExistsError(errno.EEXIST, "another file took its place")
+            self._output.take_back()
+            state = vars(self._writer)
+            chunks, state[f"{OWN}statistics"] = self._flushed
+            del state[f"{OWN}chunk_indices"][chunks:]
+            state[f"{OWN}chunk_builder"].reset()
+            state[f"{OWN}record_builder"].end()
+            self._end()
+        finally:
+            self._output.close()
+
+    def _end(self) -> None:
         self._writer.finish()
         self._output.flush()
         self._output.close()
-
-    def abandon(self) -> None:
-        """Go back to the last flush; indexes are made anew, since the writer's name unwritten messages."""
-        try:
-            ours = self._output.is_at(self.path)
-        finally:
-            self._output.take_back()
-        if not ours:
-            raise FileExistsError(errno.EEXIST, "another file took its place")
-        repair.repair(self.path, repair.scan(Salvage(self.path)))

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy.typing as npt
 
-from valve_control import inputs
 from valve_control.arrays import Bytes, Integers
 
 CDR = "cdr"  # the serialization of ROS 2 messages, the only one that is read
@@ -21,7 +20,7 @@ class Topic(NamedTuple):
     definition_format: str = ""  # ros2msg, ros2idl, or "" where the bag has none
     definition: str = ""
     type_hash: str = ""
-    qos: tuple[dict[str, Any], ...] = ()  # offered by each publisher; () if unknown
+    qos: str = ""  # profiles that its publishers offer, as YAML; "" if unknown
     flaw: str = ""  # why a column of a table cannot be used, "" if it can
 
     @property
@@ -68,12 +67,3 @@ def full_type(name: str) -> str:
     name = name.replace("::", "/")
     package, slash, rest = name.partition("/")
     return f"{package}/msg/{rest}" if package and slash and rest and "/" not in rest else name
-
-
-def qos_profiles(text: str) -> tuple[dict[str, Any], ...]:
-    """QoS profiles from their YAML text, () if it cannot be read."""
-    try:
-        profiles = inputs.from_yaml(text) if text else []
-    except ValueError:
-        return ()
-    return tuple(p for p in profiles if isinstance(p, dict)) if isinstance(profiles, list) else ()

@@ -12,14 +12,14 @@ import numpy.typing as npt
 
 from valve_control.arrays import Integers
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.messages import Block, Topic, absolute, full_type, qos_profiles
+from valve_control.recordings.bags.messages import Block, Topic, absolute, full_type
 
 MAGIC = b"SQLite format 3\0"
 LOGGED = b"\2\2"  # two bytes behind magic and page size: changes go into a write-ahead log
 ROWS = 500
 PIECES = 100
-HEAD = 50  # messages that tell of what kind a file is
 DAMAGE = (sqlite3.Error, KeyError, TypeError, ValueError, OverflowError)
+SALVAGE = "sqlite3's own recovery reads what is left of it: sqlite3 FILE .recover | sqlite3 NEW.db3"
 TIMES = "valve_control_times"  # source times and sequence numbers, which rosbag2's own tables lack
 
 
@@ -33,6 +33,7 @@ class SqliteFile:
         self.path = path
         self.problems: list[str] = []
         self.topics: list[Topic] = []
+        self.damaged = False
         with path.open("rb") as stream:
             head, mode = stream.read(len(MAGIC)), stream.read(len(LOGGED) + 2)[2:]
         self.size = path.stat().st_size
@@ -57,7 +58,7 @@ class SqliteFile:
             raise
         except DAMAGE as error:
             self._db.close()
-            raise BagError(f"{path} is not a bag that can be read: {error}") from error
+            raise BagError(f"{path} is not a bag that can be read: {error} ({SALVAGE})") from error
 
     def _learn(self) -> None:
         self._tables = {
@@ -88,7 +89,7 @@ class SqliteFile:
                     encoding,
                     text,
                     entry.get("type_description_hash", ""),
-                    qos_profiles(entry.get("offered_qos_profiles", "")),
+                    entry.get("offered_qos_profiles", ""),
                 )
             )
 
@@ -97,30 +98,23 @@ class SqliteFile:
         self._db.close()
 
     def blocks(
-        self, start: int | None = None, end: int | None = None, told: Callable[[int], None] | None = None
+        self, start: int | None = None, end: int | None = None, progress: Callable[[int], None] | None = None
     ) -> Iterator[Block]:
         """Yield messages with a log time [ns] from ``start`` to before ``end``.
 
-        ``told`` is called with the number of bytes read since its last call.
+        ``progress`` is called with the number of bytes read since its last call.
         """
         try:
-            yield from self._blocks(start, end, told)
+            yield from self._blocks(start, end, progress)
         except DAMAGE as error:
-            self.problems.append(f"{self.path} is damaged, what follows is left out: {error}")
-
-    def head(self) -> Block | None:
-        """The first messages, None if there are none."""
-        try:
-            return next(self._blocks(None, None, None, limit=HEAD), None)
-        except DAMAGE:
-            return None
+            self.damaged = True
+            self.problems.append(f"{self.path} is damaged, what follows is left out: {error} ({SALVAGE})")
 
     def _blocks(
         self,
         start: int | None,
         end: int | None,
-        told: Callable[[int], None] | None,
-        limit: int = -1,
+        progress: Callable[[int], None] | None,
     ) -> Iterator[Block]:
         conditions, limits = [], []
         for text, bound in (("timestamp >= ?", start), ("timestamp < ?", end)):
@@ -131,21 +125,22 @@ class SqliteFile:
         times = f"LEFT JOIN {TIMES} ON message_id = id" if TIMES in self._tables else ""
         columns = "ifnull(publish_time, 0), ifnull(sequence, 0)" if times else "0, 0"
         cursor = self._db.execute(
-            f"SELECT topic_id, timestamp, {columns}, data FROM messages {times} {where} ORDER BY id "
-            f"LIMIT {limit}",
+            f"SELECT topic_id, timestamp, {columns}, data FROM messages {times} {where} ORDER BY id",
             limits,
         )
-        (total,) = self._db.execute("SELECT count(*) FROM messages").fetchone() if told is not None else (0,)
+        (total,) = (
+            self._db.execute("SELECT count(*) FROM messages").fetchone() if progress is not None else (0,)
+        )
         read, done = 0, 0
         while (block := self._block(cursor)) is not None:
             read += len(block.topic)
             yield block if (block.topic >= 0).all() else block.select(block.topic >= 0)
-            if told is not None:
+            if progress is not None:
                 now = self.size * read // total
-                told(now - done)
+                progress(now - done)
                 done = now
-        if told is not None:
-            told(self.size - done)
+        if progress is not None:
+            progress(self.size - done)
 
     def _topics_of(self, numbers: Integers) -> Integers:
         """Topics of messages by the ``numbers`` of the database, -1 for one that has none."""

@@ -4,7 +4,7 @@
 
 import sqlite3
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.metadata import TopicMetadata
@@ -32,14 +32,21 @@ COMMIT;
 """
 
 
+class Definition(NamedTuple):
+    """Definition of a message type."""
+
+    format: str  # ros2msg, ros2idl, or "" where the text is not known
+    text: str
+
+
 class Storage(Protocol):
     """One storage file. ``write`` and ``size`` apart, all methods raise OSError or sqlite3.Error."""
 
     path: Path
     pending: int  # bytes of messages in memory
 
-    def add_topic(self, topic: TopicMetadata, definition: str) -> None:
-        """Add ``topic`` with the ``definition`` of its message type, "" if that is not known."""
+    def add_topic(self, topic: TopicMetadata, definition: Definition) -> None:
+        """Add ``topic`` with the ``definition`` of its message type."""
 
     def write(self, topic: str, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
         """Buffer a message; times in ns."""
@@ -75,13 +82,13 @@ class SqliteStorage:
         self._database.execute("PRAGMA synchronous=NORMAL")
         self._database.executescript(SQLITE_SCHEMA)
 
-    def add_topic(self, topic: TopicMetadata, definition: str) -> None:
+    def add_topic(self, topic: TopicMetadata, definition: Definition) -> None:
         """Add a row of topics, and one of message_definitions for its type."""
-        if definition and topic.type not in self._types:
+        if definition.text and topic.type not in self._types:
             self._types.add(topic.type)
             self._database.execute(
                 "INSERT INTO message_definitions VALUES (?, ?, ?, ?, ?)",
-                (len(self._types), topic.type, "ros2msg", definition, topic.type_description_hash),
+                (len(self._types), topic.type, *definition, topic.type_description_hash),
             )
         number = self._topics[topic.name] = len(self._topics) + 1
         self._database.execute(

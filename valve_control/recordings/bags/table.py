@@ -9,9 +9,8 @@ import numpy as np
 
 from valve_control.arrays import Integers
 from valve_control.recordings.bags import columns, matlab
-from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.errors import BagError, refuse_pointer
 from valve_control.recordings.bags.messages import Block, Topic, absolute
-from valve_control.recordings.bags.placeholders import refuse
 
 FLOAT = "std_msgs/msg/Float64"
 HEADER = np.array([0, 1, 0, 0], dtype=np.uint8)  # of a message: CDR, little endian
@@ -31,7 +30,7 @@ class TableFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.problems: list[str] = []
-        refuse(path)
+        refuse_pointer(path)
         self.size = path.stat().st_size
         reader = matlab.read if KINDS[path.suffix.lower()] == MATLAB else columns.read
         self.columns = reader(path)
@@ -94,17 +93,13 @@ class TableFile:
     def close(self) -> None:
         """Close the file, which has been read as a whole."""
 
-    def head(self) -> Block | None:
-        """The first rows, None before there are times."""
-        return next(self.blocks(), None)
-
     def blocks(
-        self, start: int | None = None, end: int | None = None, told: Callable[[int], None] | None = None
+        self, start: int | None = None, end: int | None = None, progress: Callable[[int], None] | None = None
     ) -> Iterator[Block]:
         """Yield the rows with a time [ns] from ``start`` to before ``end``, one message for each column.
 
-        The messages of a row share their place. ``told`` is called with the number of bytes read since its
-        last call.
+        The messages of a row share their place. ``progress`` is called with the number of bytes read since
+        its last call.
         """
         first = 0 if start is None else int(np.searchsorted(self.times, start))
         last = len(self.times) if end is None else int(np.searchsorted(self.times, end))
@@ -112,8 +107,8 @@ class TableFile:
         for begin in range(first, last, ROWS):
             if usable:
                 yield self._block(usable, begin, min(begin + ROWS, last))
-        if told is not None:
-            told(self.size)
+        if progress is not None:
+            progress(self.size)
 
     def _block(self, usable: list[int], begin: int, end: int) -> Block:
         rows = slice(begin, end)

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes rosbag2 bags (Jazzy); what was flushed survives a kill of the process."""
 
-import fcntl
-import os
 import sqlite3
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -18,7 +16,7 @@ from rosbags.interfaces import Qos
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.metadata import Counted, File, TopicMetadata
-from valve_control.recordings.bags.storage import PENDING, SqliteStorage, Storage
+from valve_control.recordings.bags.storage import PENDING, Definition, SqliteStorage, Storage
 
 COMPRESSIONS = ("none", "zstd", "lz4")
 SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}
@@ -27,24 +25,6 @@ SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}
 def reason(error: Exception) -> str:
     """Message of the operating system or of SQLite."""
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
-
-
-class Lock:
-    """File lock on a bag's folder, held by the process that writes to the bag; it ends with the process."""
-
-    def __init__(self, folder: Path) -> None:
-        self._descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self.release()
-            raise BagError(f"{folder} is still being written; stop its recorder first") from None
-        except OSError:
-            pass  # some network file systems cannot lock a folder
-
-    def release(self) -> None:
-        """Release the lock."""
-        os.close(self._descriptor)
 
 
 def usual() -> str:
@@ -104,7 +84,7 @@ class BagWriter:
         self._max_bytes = max_bytes
         self._max_span = round(max_seconds * 1e9)
         self._on_new_file = on_new_file
-        self._topics: dict[str, tuple[TopicMetadata, str]] = {}
+        self._topics: dict[str, tuple[TopicMetadata, Definition]] = {}
         self._totals: Counter[str] = Counter()  # of the finished files
         self._files: list[File] = []
         self._finished_bytes = 0
@@ -115,7 +95,6 @@ class BagWriter:
             raise BagError(f"{folder} exists already; a bag needs a new folder") from None
         except OSError as error:
             raise BagError(f"{folder} cannot be made: {reason(error)}") from error
-        self._lock = Lock(folder)
         self._rotating = False
         self._open_file()
         self._closed = False
@@ -146,16 +125,17 @@ class BagWriter:
         return len(self._files) + (0 if self._closed else 1)
 
     def add_topic(
-        self, name: str, type_name: str, definition: str = "", type_hash: str = "", qos: Sequence[Qos] = ()
-    ) -> None:
-        """Add a topic; ``definition``: of its type in the form ros2msg, with the types that it needs."""
+        self, name: str, type_name: str, definition: str = "", type_hash: str = "", qos: Sequence[Qos] = (),
+        definition_format: str = "ros2msg",
+    ) -> None:  # fmt: skip
+        """Add a topic; ``definition``: of its type in this format, with the types that it needs."""
         self._check_open()
         if name in self._topics:
             raise BagError(f"{name} is in the bag {self.folder} already; a topic is added once")
         topic = TopicMetadata(name, type_name, "cdr", tuple(qos), type_hash)
-        self._topics[name] = (topic, definition)
+        self._topics[name] = (topic, Definition(definition_format if definition else "", definition))
         try:
-            self._storage.add_topic(topic, definition)
+            self._storage.add_topic(*self._topics[name])
         except (OSError, sqlite3.Error) as error:
             self._fail(error)
 
@@ -201,10 +181,9 @@ class BagWriter:
                 self._storage.flush()
             with suppress(OSError, sqlite3.Error, BagError):
                 self._storage.abandon()
-            self._lock.release()
             raise BagError(
                 f"{self.path} was removed, moved or replaced while it was written, with {messages} messages "
-                "in it; nothing more is recorded (valve-control bag recover ends a file that was moved)"
+                "in it; nothing more is recorded (bag recover writes a finished copy of a moved file)"
             )
         return [file.path for file in self._files if not (self.folder / file.path).exists()]
 
@@ -219,10 +198,8 @@ class BagWriter:
         except OSError as error:
             raise BagError(
                 f"{self.folder / metadata.NAME} cannot be written: {reason(error)}; "
-                "the bag's other files are whole (valve-control bag recover writes it)"
+                "the bag's other files are whole (valve-control bag recover writes a copy with one)"
             ) from error
-        finally:
-            self._lock.release()
 
     def __enter__(self) -> Self:
         return self
@@ -262,7 +239,6 @@ class BagWriter:
             self._closed = True
             with suppress(OSError):
                 self._write_metadata()
-            self._lock.release()
             raise BagError(f"{path} cannot be begun: {reason(error)}") from error
 
         self._place = _identity(path)
@@ -307,8 +283,7 @@ class BagWriter:
             self._storage.abandon()
             self._write_metadata()
         except (OSError, sqlite3.Error, BagError):
-            end = "the bag has no end (valve-control bag recover gives it one where there is room)"
-        self._lock.release()
+            end = "the bag has no end (valve-control bag recover writes a finished copy)"
         messages = self._totals.total()
         raise BagError(
             f"{path} cannot be written any further: {reason(error)}; {end}, with {messages} messages"

@@ -1,18 +1,18 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Gives messages that share their stamps times of their own, where a clock is coarser than the messages.
+"""Pairs readings, voltages and commands by their order where their stamps do not tell what belongs together.
 
 A simulated clock often goes on by 10 ms, so ten readings and their ten voltages have one stamp. Their order
-in the file, and where that has topic after topic their order within the stamp, tells which belong together.
+in the file, and where that has topic after topic their order within the stamp, tells the pairs.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
 
-from valve_control.arrays import Integers
+from valve_control.arrays import Floats, Integers
 from valve_control.control.analysis.timing import LATE, true_period
 from valve_control.recordings.clocks import MANY, in_order, shared
 
@@ -21,65 +21,54 @@ INTERLEAVED = 0.8  # of the messages of two topics that alternate where their or
 SAME_RATE = 0.1  # by which numbers may go on faster or slower than those of the readings, one for each
 DISORDER = 0.01  # of the messages that may be out of order in the file where it counts
 CROSSED = 0.02  # of the voltages that may be recorded before their reading, or behind the next
-MOST = 75  # % of the messages
 WINDOW = 101  # messages whose usual distance to the readings counts for the one in their middle
 LATER = 0.6  # of a period from a reading to the command that was there after it
-NEAR = 2.0  # resolutions between the stamp of a message and those of its neighbours in the file
 
 
-class Messages(Protocol):
-    """Messages of one signal, in order of their stamps."""
+class Samples(NamedTuple):
+    """One signal of a valve in order of time."""
 
-    @property
-    def time(self) -> Integers:
-        """Stamps [ns]."""
+    topic: str
+    time: Integers  # ns, by the clock of the recording
+    log_time: Integers  # ns, when it was recorded
+    sequence: Integers  # numbers of the publisher
+    place: Integers  # among all messages of the bag
+    value: Floats  # V
 
-    @property
-    def sequence(self) -> Integers:
-        """Numbers of the publisher."""
-
-    @property
-    def place(self) -> Integers:
-        """Places among all messages of the bag."""
+    def pick(self, chosen: Any) -> "Samples":
+        """Some of the samples, by mask, slice or index."""
+        return Samples(self.topic, *(column[chosen] for column in self[1:]))
 
 
-class Ties(NamedTuple):
-    """Times of messages of which many share their stamps."""
+class Pairs(NamedTuple):
+    """Times of messages whose stamps do not tell what belongs together."""
 
-    resolution: float  # s
+    resolution: float  # s, usual step from one stamp to the next
     times: dict[str, Integers]  # ns, by part
     places: Integers  # of the readings, if the order in the file counts
-    vague: bool  # whether nothing tells between which readings the commands came
+    vague: list[str]  # parts of which nothing tells between which readings they came
     several: bool  # whether readings share their stamps among themselves, not only with other signals
     crossed: bool  # whether readings and their answers were recorded in another order than sent
 
     def of(self, time: Integers, place: Integers) -> Integers:
-        """Times [ns] of messages with the stamps ``time`` by their ``place`` between the readings.
-
-        Stamps stay where no reading is near, and where the order in the file does not count.
-        """
+        """Times [ns] of messages with the stamps ``time`` by their ``place`` between the readings."""
         if not len(self.places):
             return time
         known = self.times["spool_position"]
         moved = known[0] + np.round(np.interp(place, self.places, known - known[0])).astype(np.int64)
         inside = (place >= self.places[0]) & (place <= self.places[-1])
-        return self.near(time, np.where(inside, moved, time))
-
-    def near(self, time: Integers, moved: Integers) -> Integers:
-        """``moved`` [ns] where that is not far from ``time`` [ns], in order."""
-        near = np.abs(moved - time) <= NEAR * self.resolution * 1e9
+        near = inside & (np.abs(moved - time) <= 2e9 * self.resolution)  # not over a gap
         return np.asarray(np.maximum.accumulate(np.where(near, moved, time)), dtype=np.int64)
 
 
-def untied(signals: Mapping[str, Messages], received: bool = False) -> Ties | None:
+def paired(signals: Mapping[str, Samples], received: bool = False) -> Pairs | None:
     """Times of the signals of a valve of which many share their stamps; None if they do not.
 
     Likewise of times of recording (``received``) that put many voltages before the readings that they answer.
-    Voltages, and commands that are as many as the readings, keep their distance to these in numbers, so that
-    a message that was recorded too late does not count for another reading.
+    Voltages, and commands that are as many as the readings, keep their distance to these in numbers.
     """
     readings, voltages = signals.get("spool_position"), signals.get("valve_voltage")
-    if readings is None:
+    if readings is None or len(readings.time) < 2:
         return None
     crossed = not _coarse(readings.time, None if voltages is None else voltages.time)
     if crossed and not (received and voltages is not None and _crossed(readings, voltages)):
@@ -87,10 +76,10 @@ def untied(signals: Mapping[str, Messages], received: bool = False) -> Ties | No
     answers = signals.get("valve_voltage", signals.get("spool_command"))
     several = shared(readings.time)
     ordered = several and answers is not None and _interleaved(readings.place, answers.place)
-    times = {part: _spread(one) for part, one in signals.items()}
-    # A few may have been recorded out of order.
+    times = {part: spread(one) for part, one in signals.items()}
     places = np.maximum.accumulate(readings.place) if ordered else readings.place[:0]
-    ties = Ties(_resolution(readings.time), times, places, False, several, crossed)
+    resolution = float(np.median(np.diff(np.unique(readings.time)))) * 1e-9
+    pairs = Pairs(resolution, times, places, [], several, crossed)
     counted, lead = _numbers(readings), times["spool_position"]
     period = round(float(np.median(np.diff(lead))))
     numbers = np.concatenate([[counted[0] - 1], counted, [counted[-1] + 1]])
@@ -99,7 +88,7 @@ def untied(signals: Mapping[str, Messages], received: bool = False) -> Ties | No
         if part == "spool_position" or len(one.time) < MANY:
             continue
         keys = (places, one.place) if ordered else (lead, times[part])
-        own, answer = times[part], part == "valve_voltage"
+        answer = part == "valve_voltage"
         # The reading after which a message comes; a command with the key of a reading is there before it.
         reading = numbers[np.searchsorted(*keys, side="right" if answer else "left")]
         number = _numbers(one)
@@ -108,73 +97,57 @@ def untied(signals: Mapping[str, Messages], received: bool = False) -> Ties | No
         if ahead_of_it > 0 and abs(ahead / ahead_of_it - 1.0) < SAME_RATE:
             reading = number + median_filter(reading - number, WINDOW, mode="mirror")
             share = np.interp(reading + (0.0 if answer else LATER), numbers, known - known[0])
-            times[part] = ties.near(own, known[0] + np.round(share).astype(np.int64) + answer)
+            moved = known[0] + np.round(share).astype(np.int64) + answer
+            near = np.abs(moved - times[part]) <= 2e9 * resolution
+            times[part] = np.maximum.accumulate(np.where(near, moved, times[part]))
         elif ordered:
-            times[part] = ties.of(own, one.place)
-        elif several and not answer:
-            ties = ties._replace(vague=True)
-    return ties
+            times[part] = pairs.of(times[part], one.place)
+        elif several:
+            pairs.vague.append(part)
+    return pairs
 
 
 def _coarse(time: Integers, answers: Integers | None) -> bool:
     """Whether readings at ``time`` [ns] share their stamps, or the ``answers`` have those of readings."""
-    if answers is None or not len(answers) or not len(time):
+    if shared(time) or answers is None or not len(answers):
         return shared(time)
-    both = int(np.count_nonzero(np.isin(answers, time)))
-    return shared(time) or (len(time) > 1 and both > BOTH * min(len(time), len(answers)))
+    return int(np.count_nonzero(np.isin(answers, time))) > BOTH * min(len(time), len(answers))
 
 
 def _interleaved(place: Integers, other: Integers) -> bool:
     """Whether the messages of two topics, by their places in the file, alternate as they were sent."""
-    if len(other) == 0 or len(place) == 0:
-        return False
-    if max(int(np.count_nonzero(np.diff(some) <= 0)) - DISORDER * len(some) for some in (place, other)) > 0:
+    if len(other) == 0 or any(np.mean(np.diff(some) <= 0) > DISORDER for some in (place, other)):
         return False
     alternating = len(np.unique(np.searchsorted(np.maximum.accumulate(place), other)))
     return alternating > INTERLEAVED * min(len(place), len(other))
 
 
-def _crossed(readings: Messages, voltages: Messages) -> bool:
+def _crossed(readings: Samples, voltages: Samples) -> bool:
     """Whether many voltages come beside another reading than their number says, by a steady difference."""
     if min(len(readings.time), len(voltages.time)) < WINDOW:
         return False
     counted, number = _numbers(readings), _numbers(voltages)
     at = np.searchsorted(readings.time, voltages.time, side="right")
     reading = np.concatenate([[counted[0] - 1], counted])[at]
-    ahead = np.ptp(reading)
-    if ahead == 0 or abs(np.ptp(number) / ahead - 1.0) >= SAME_RATE:
+    if np.ptp(reading) == 0 or abs(np.ptp(number) / np.ptp(reading) - 1.0) >= SAME_RATE:
         return False
     beside = reading - number
     usual = median_filter(beside, WINDOW, mode="mirror")
     return float(np.mean(beside != usual)) > CROSSED and float(np.mean(np.diff(usual) != 0)) < CROSSED
 
 
-def _resolution(time: Integers) -> float:
-    """Step [s] of the clock from one stamp to the next, as most messages have it, 0 if there is none.
-
-    Of a clock that is coarse for a part of the time it is that of this part.
-    """
-    stamps, count = np.unique(time, return_counts=True)
-    if len(stamps) < 2:
-        return 0.0
-    steps = np.repeat(np.diff(stamps), count[:-1])
-    return float(np.percentile(steps, MOST, method="inverted_cdf")) * 1e-9
-
-
-def _numbers(one: Messages) -> Integers:
+def _numbers(one: Samples) -> Integers:
     """Numbers of the publisher, or from 0 where it has none that are in order."""
     return one.sequence if in_order(one.sequence) else np.arange(len(one.time), dtype=np.int64)
 
 
-def _spread(one: Messages) -> Integers:
+def spread(one: Samples) -> Integers:
     """Stamps [ns], in order, spread by number from the first message of a stamp to that of the next."""
     time = one.time
     first = np.flatnonzero(np.diff(time, prepend=time[:1] - 1) > 0)
     if len(first) < 3 or len(first) == len(time):
         return time
-    number = _numbers(one)
-    # Of the first stamp there may be the last messages only.
-    anchors = first[1:]
+    number, anchors = _numbers(one), first[1:]  # of the first stamp there may be the last messages only
     slopes = np.diff(time[anchors]) / np.diff(number[anchors])
     measured = 1e9 * true_period(time, one.sequence)
     period = measured if measured > 0.0 else float(np.median(slopes))
@@ -182,7 +155,6 @@ def _spread(one: Messages) -> Integers:
     slopes = np.append(np.minimum(slopes, LATE * period), period)
     own = np.searchsorted(anchors, np.arange(len(time)), side="right") - 1
     before = min(period, (time[anchors[0]] - time[0]) / (number[anchors[0]] - number[0]))
-    slope = np.where(own < 0, before, slopes[own])
     at = anchors[np.maximum(own, 0)]
-    moved = np.round((number - number[at]) * slope).astype(np.int64)
+    moved = np.round((number - number[at]) * np.where(own < 0, before, slopes[own])).astype(np.int64)
     return np.asarray(time[at] + moved, dtype=np.int64)
