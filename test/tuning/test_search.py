@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from valve_control.control.laws import reshaping
 from valve_control.control.laws.free import DIGITS, Free, one, placed, present
-from valve_control.control.laws.law import LawError, check
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
 from valve_control.control.parameters import files
@@ -352,17 +351,3 @@ def test_a_limit_of_the_chatter_that_may_give_way_becomes_that_of_the_quieter_ga
     assert not made.chosen.holds or made.chosen.point.error <= 1.5 * min(p.error for p in quiet)
     kept = tuned(5.0, False)
     assert kept.chatter == 5.0 and kept.chosen.point == tuned(5.0, True).chosen.point
-
-
-@pytest.mark.parametrize(
-    ("unit", "words"),
-    [
-        (lambda values: values["pid.gain"], "the unit of pid.ki asks for 'pid.gain', which is none"),
-        (lambda values: -values["pid.kp"], "it must be above 0"),
-        (lambda values: math.nan, "it must be above 0"),
-    ],
-)
-def test_a_unit_that_cannot_count_a_number_is_refused_with_the_law(unit, words):
-    with pytest.raises(LawError, match=words):
-        check(LAWS["pid"]._replace(free=(Free("pid.ki", 3.0, 1000.0, unit=unit),)))
-    assert check(LAWS["pid"]) is LAWS["pid"]
