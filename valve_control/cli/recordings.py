@@ -4,7 +4,6 @@
 
 import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,11 +27,8 @@ from valve_control.recordings.bags.errors import BagError
 if TYPE_CHECKING:
     from valve_control.recordings.analysis import ValveAnalysis
     from valve_control.recordings.axis_analysis import Axis
-    from valve_control.recordings.bags.bag import Bag
     from valve_control.recordings.recording import Recording
     from valve_control.recordings.replay_report import Report
-
-SHOW_PROGRESS = 20_000_000  # bytes of a bag from which on reading it shows progress
 
 
 def _bag_options() -> Parser:
@@ -141,28 +137,6 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
 # Reading
 
 
-def _progress(bag: "Bag") -> Callable[[int], None]:
-    """Function that prints the progress over the bytes of ``bag`` on standard error."""
-    from tqdm import tqdm
-
-    progress = tqdm(
-        total=bag.size,
-        desc=f"reading {bag.path.name}",
-        unit="B",
-        unit_scale=True,
-        disable=bag.size < SHOW_PROGRESS,
-        ascii=not sys.stderr.isatty(),
-        mininterval=0.1 if sys.stderr.isatty() else 2.0,
-    )
-
-    def update(count: int) -> None:
-        progress.update(count)
-        if progress.n >= progress.total:
-            progress.close()
-
-    return update
-
-
 def _load(arguments: argparse.Namespace, path: str, journals: bool = False) -> "Recording":
     from valve_control.recordings import recording, tables
 
@@ -170,7 +144,7 @@ def _load(arguments: argparse.Namespace, path: str, journals: bool = False) -> "
     if start is not None and end is not None and end <= start:
         raise ParameterError(f"--to {end:g} lies not after --from {start:g}")
     maps = tables.maps_of(path, arguments.map, getattr(arguments, "bags", [path]))
-    return recording.load(path, maps, start, end, _progress, journals, arguments.clock)
+    return recording.load(path, maps, start, end, journals, arguments.clock)
 
 
 def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveAnalysis":

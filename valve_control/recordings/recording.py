@@ -3,7 +3,7 @@
 """Loads a bag as valves with their signals, cleaned and aligned to the LVDT readings."""
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -147,17 +147,15 @@ class _Request(NamedTuple):
         return first, None if self.end is None else begin + nanoseconds(self.end, "--to")
 
 
-def _read(
-    bag: Bag, request: _Request, progress: Callable[[int], None] | None
-) -> tuple[dict[str, Series], Clock, int]:
+def _read(bag: Bag, request: _Request) -> tuple[dict[str, Series], Clock, int]:
     """Series by topic, the clock of all their times, and the beginning of the part [ns]. Raises BagError."""
     wanted, states, raw = request.wanted, request.states, request.raw
     first, last = request.span(bag.begin)
     if request.start is None:
-        series = bag.read(wanted, raw=raw, sparse=states, end=last, progress=progress)
+        series = bag.read(wanted, raw=raw, sparse=states, end=last)
     else:
         # What is known of the nodes counts from the bag's beginning, whatever part is asked for.
-        series = bag.read(wanted, sparse=states, start=first, end=last, progress=progress)
+        series = bag.read(wanted, sparse=states, start=first, end=last)
         series |= bag.read({}, raw=raw, end=last)
     notes: list[str] = []
     series = without_strays(series, notes)
@@ -187,14 +185,12 @@ def load(
     maps: Sequence[str] = (),
     start: float | None = None,
     end: float | None = None,
-    progress: Callable[[Bag], Callable[[int], None]] | None = None,
     journals: bool = False,
     clock: str | None = None,
 ) -> Recording:
     """Load a bag, or its part from ``start`` to ``end`` [s] after its beginning.
 
-    ``progress`` takes the opened bag and returns a function that is called with the number of bytes read
-    since its last call; ``journals``: load the controllers' journals too, which only a shadow replay needs;
+    ``journals``: load the controllers' journals too, which only a shadow replay needs;
     ``clock``: log or publish, whose times are taken for all (default: publish, if it is fit for all signals).
     Raises BagError if nothing can be analysed.
     """
@@ -204,7 +200,7 @@ def load(
     labels = {name: _labels(bag, name) for name in states}
     groups = [[source.topic for source in valve.sources.values()] for valve in topics.values()]
     request = _Request(path, wanted, states, raw, groups, start, end, clock)
-    series, used, first = _read(bag, request, progress(bag) if progress else None)
+    series, used, first = _read(bag, request)
     since = 0 if start is None else first
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
     if start is not None:

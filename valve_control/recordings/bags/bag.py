@@ -3,7 +3,7 @@
 """Opens a bag from any recorder: a folder with or without metadata.yaml, a single file, or a table."""
 
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -171,7 +171,6 @@ class Bag:
         topics: Collection[str],
         start: int | None = None,
         end: int | None = None,
-        progress: Callable[[int], None] | None = None,
     ) -> Iterator[tuple[str, Block]]:
         """Yield messages of ``topics`` in blocks, each of one topic; ``start``, ``end`` [ns]: log times."""
         before = 0
@@ -180,7 +179,7 @@ class Bag:
             wanted = [i for i, name in enumerate(names) if name in topics]
             if isinstance(file, TableFile):
                 file.wanted = wanted
-            for block in file.blocks(start, end, progress):
+            for block in file.blocks(start, end):
                 block = block._replace(place=before + block.place)
                 before = int(block.place[-1]) + 1 if len(block.place) else before
                 for i in wanted:
@@ -211,19 +210,17 @@ class Bag:
         sparse: Collection[str] = (),
         start: int | None = None,
         end: int | None = None,
-        progress: Callable[[int], None] | None = None,
     ) -> dict[str, Series]:
         """Read numeric ``fields`` of topics, and whole messages of the topics in ``raw``.
 
-        Of topics in ``sparse`` fields that a message does not have are NaN. ``progress`` is called with the
-        number of bytes read since its last call. Raises BagError if there is no such topic, or its type is
-        unknown.
+        Of topics in ``sparse`` fields that a message does not have are NaN. Raises BagError if there is no
+        such topic, or its type is unknown.
         """
         collected = {
             name: _Collector(self.topic(name), fields.get(name, ()), name in raw, name in sparse)
             for name in {*fields, *raw}
         }
-        for name, block in self.blocks(collected, start, end, progress):
+        for name, block in self.blocks(collected, start, end):
             collected[name].take(block)
         return {name: collector.series() for name, collector in collected.items()}
 

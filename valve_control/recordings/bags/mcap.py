@@ -8,7 +8,7 @@ chunk takes some 10 ns. Everything but messages (schemas, channels, chunk header
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -128,14 +128,8 @@ class McapFile:
         """Release the file."""
         self._buffer = np.empty(0, dtype=np.uint8)
 
-    def blocks(
-        self, start: int | None = None, end: int | None = None, progress: Callable[[int], None] | None = None
-    ) -> Iterator[Block]:
-        """Yield messages with a log time [ns] from ``start`` to before ``end``.
-
-        ``progress`` is called with the number of bytes read since its last call.
-        """
-        done = 0
+    def blocks(self, start: int | None = None, end: int | None = None) -> Iterator[Block]:
+        """Yield messages with a log time [ns] from ``start`` to before ``end``."""
         if self._loose:
             for messages, _, _ in _windows(self._buffer, len(MAGIC)):
                 yield from self._chosen(self._buffer, messages, start, end)
@@ -144,11 +138,6 @@ class McapFile:
                 content = self._content(place)
                 for messages, _, _ in _windows(content, 0):
                     yield from self._chosen(content, messages, start, end)
-            if progress is not None:
-                progress(place.begin + place.length - done)
-                done = place.begin + place.length
-        if progress is not None:
-            progress(self.size - done)
 
     def _chosen(
         self, buffer: Bytes, messages: Integers, start: int | None, end: int | None

@@ -3,7 +3,7 @@
 """Reads SQLite files of rosbag2 (.db3) into arrays, many messages at a time."""
 
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -97,25 +97,15 @@ class SqliteFile:
         """Close the file."""
         self._db.close()
 
-    def blocks(
-        self, start: int | None = None, end: int | None = None, progress: Callable[[int], None] | None = None
-    ) -> Iterator[Block]:
-        """Yield messages with a log time [ns] from ``start`` to before ``end``.
-
-        ``progress`` is called with the number of bytes read since its last call.
-        """
+    def blocks(self, start: int | None = None, end: int | None = None) -> Iterator[Block]:
+        """Yield messages with a log time [ns] from ``start`` to before ``end``."""
         try:
-            yield from self._blocks(start, end, progress)
+            yield from self._blocks(start, end)
         except DAMAGE as error:
             self.damaged = True
             self.problems.append(f"{self.path} is damaged, what follows is left out: {error} ({SALVAGE})")
 
-    def _blocks(
-        self,
-        start: int | None,
-        end: int | None,
-        progress: Callable[[int], None] | None,
-    ) -> Iterator[Block]:
+    def _blocks(self, start: int | None, end: int | None) -> Iterator[Block]:
         conditions, limits = [], []
         for text, bound in (("timestamp >= ?", start), ("timestamp < ?", end)):
             if bound is not None:
@@ -128,19 +118,8 @@ class SqliteFile:
             f"SELECT topic_id, timestamp, {columns}, data FROM messages {times} {where} ORDER BY id",
             limits,
         )
-        (total,) = (
-            self._db.execute("SELECT count(*) FROM messages").fetchone() if progress is not None else (0,)
-        )
-        read, done = 0, 0
         while (block := self._block(cursor)) is not None:
-            read += len(block.topic)
             yield block if (block.topic >= 0).all() else block.select(block.topic >= 0)
-            if progress is not None:
-                now = self.size * read // total
-                progress(now - done)
-                done = now
-        if progress is not None:
-            progress(self.size - done)
 
     def _topics_of(self, numbers: Integers) -> Integers:
         """Topics of messages by the ``numbers`` of the database, -1 for one that has none."""

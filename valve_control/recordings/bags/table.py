@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads tables of numbers, text or MATLAB files, as bags: each column is a topic of std_msgs/Float64."""
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -93,13 +93,10 @@ class TableFile:
     def close(self) -> None:
         """Close the file, which has been read as a whole."""
 
-    def blocks(
-        self, start: int | None = None, end: int | None = None, progress: Callable[[int], None] | None = None
-    ) -> Iterator[Block]:
+    def blocks(self, start: int | None = None, end: int | None = None) -> Iterator[Block]:
         """Yield the rows with a time [ns] from ``start`` to before ``end``, one message for each column.
 
-        The messages of a row share their place. ``progress`` is called with the number of bytes read since
-        its last call.
+        The messages of a row share their place.
         """
         first = 0 if start is None else int(np.searchsorted(self.times, start))
         last = len(self.times) if end is None else int(np.searchsorted(self.times, end))
@@ -107,8 +104,6 @@ class TableFile:
         for begin in range(first, last, ROWS):
             if usable:
                 yield self._block(usable, begin, min(begin + ROWS, last))
-        if progress is not None:
-            progress(self.size)
 
     def _block(self, usable: list[int], begin: int, end: int) -> Block:
         rows = slice(begin, end)
