@@ -223,9 +223,14 @@ def _sections(path: str, tree: dict[Any, Any], above: str) -> Iterator[Section]:
 
 
 def as_text(value: Value) -> str:
-    """``value`` as YAML would have it."""
+    """``value`` as YAML would have it; a word that YAML takes for a number or a switch is in quotes."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
         return "[" + ", ".join(str(v) for v in value) + "]"
-    return f'"{value}"' if value == "" else str(value)
+    if not isinstance(value, str):
+        return str(value)
+    try:
+        return value if isinstance(inputs.from_yaml(value), str) else f'"{value}"'
+    except ValueError:
+        return f'"{value}"'
