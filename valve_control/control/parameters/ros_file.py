@@ -13,12 +13,10 @@ import yaml
 from valve_control import inputs, outputs
 from valve_control.parameter import Parameter, ParameterError, Value, Values
 
-ROS = ("use_sim_time", "start_type_description_service")
-
 
 def is_of_ros(name: str) -> bool:
     """Whether ``name`` is a parameter that ROS itself gives to every node."""
-    return name in ROS or name.startswith("qos_overrides.")
+    return name in ("use_sim_time", "start_type_description_service") or name.startswith("qos_overrides.")
 
 
 def config_folder() -> Path:
