@@ -13,12 +13,10 @@ import yaml
 from valve_control import inputs, outputs
 from valve_control.parameter import Parameter, ParameterError, Value, Values
 
-ROS = ("use_sim_time", "start_type_description_service")
-
 
 def is_of_ros(name: str) -> bool:
     """Whether ``name`` is a parameter that ROS itself gives to every node."""
-    return name in ROS or name.startswith("qos_overrides.")
+    return name in ("use_sim_time", "start_type_description_service") or name.startswith("qos_overrides.")
 
 
 def config_folder() -> Path:
@@ -223,9 +221,14 @@ def _sections(path: str, tree: dict[Any, Any], above: str) -> Iterator[Section]:
 
 
 def as_text(value: Value) -> str:
-    """``value`` as YAML would have it."""
+    """``value`` as YAML would have it; a word that YAML takes for a number or a switch is in quotes."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
         return "[" + ", ".join(str(v) for v in value) + "]"
-    return f'"{value}"' if value == "" else str(value)
+    if not isinstance(value, str):
+        return str(value)
+    try:
+        return value if isinstance(inputs.from_yaml(value), str) else f'"{value}"'
+    except ValueError:
+        return f'"{value}"'
