@@ -17,21 +17,20 @@ def test_compare_runs_each_law_with_its_own_file(order, run):
     """However the files are ordered, a law has the errors that `simulate` gives with its file alone."""
     files = [word for path in order for word in ("--params-file", path)]
     usual = ("--params-file", EXPERIMENT, "--duration", "1.0", "--json", "-")
-    status, out, err = run("compare", *usual, *files)
+    status, out, _ = run("compare", *usual, *files)
     assert status == 0
     compared = {r["controller"]: r["indices"] for r in json.loads(out)["runs"]}
     for path in TUNED:
         law = path.stem.rsplit("_", 1)[1]
         own = ("--params-file", path) if path in order else ("--controller", law)
         assert compared[law] == json.loads(run("simulate", *usual, *own)[1])["indices"], law
-        assert (f"{path} names {law} as its controller" in err) == (path in order)
 
 
 def test_compare_takes_a_file_of_several_laws_for_all(run, tmp_path):
     text = "/**/controller:\n  ros__parameters: {controller: arc, pid: {kp: 4.0}, reshaping: {lead: 0.001}}\n"
     (tmp_path / "saved.yaml").write_text(text)
-    status, out, err = run("compare", "--params-file", "saved.yaml", "--duration", "1.0", "--json", "-")
-    assert status == 0 and "names" not in err
+    status, out, _ = run("compare", "--params-file", "saved.yaml", "--duration", "1.0", "--json", "-")
+    assert status == 0
     compared = {r["controller"]: r["indices"] for r in json.loads(out)["runs"]}
     direct = ("--controller", "pid", "--set", "pid.kp=4.0", "--set", "reshaping.lead=0.001")
     alone = run("simulate", *direct, "--duration", "1.0", "--json", "-")[1]

@@ -167,7 +167,7 @@ def test_contradictions_and_endless_inputs(run, tmp_path, arguments, words):
 
 @pytest.mark.parametrize(
     ("numbers", "words"),
-    [([0.0, 1e308, 0.0], ["1e+308 V", "entry 2"]), ([0.0, 1.0 + 2.0j], ["complex numbers"])],
+    [([0.0, 1.0 + 2.0j], ["complex numbers"])],
 )
 def test_commands_that_no_valve_can_have(run, tmp_path, numbers, words):
     np.save(tmp_path / "c.npy", np.array(numbers))

@@ -82,7 +82,6 @@ def test_a_law_without_feedback_is_tuned_too(run, commands):
         ("dcarc", "[1.0, 300.0, 48000.0]", [], "note: dcarc.model is that of the valve, custom"),
         ("compensator", "[1.0, 300.0, 48000.0]", [], "note: compensator.model is that of the valve, custom"),
         ("dcarc", "[1.0, 300.0, 48000.0]", ["--set", "dcarc.model=second_order"], ""),
-        ("dcarc", "[1.0, 48000.0]", [], "note: dcarc.model stays fourth_order, which is another valve"),
     ],
 )
 def test_a_law_gets_the_model_of_the_valve_that_is_given(run, commands, law, valve, own, words):

@@ -105,7 +105,6 @@ def test_bags_are_recorded_and_analysed_with_what_rosdep_installs(tmp_path):
     "arguments, package",
     [
         (("tune", "--controller", "pid", "--output", "tuned.yaml"), "cma"),
-        (("analyze", ROOT / "test/data/bags/jazzy_mcap_drone_yaw"), "mcap"),
         (("analyze", ROOT / "test/data/bags/kilted_sqlite3_file_zstd"), "zstandard"),
     ],
     ids=lambda value: value if isinstance(value, str) else None,

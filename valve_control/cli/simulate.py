@@ -138,8 +138,11 @@ def add_commands(commands: Any) -> None:
     parameters.set_defaults(run=_parameters, json=None)
 
 
-def settings_of(arguments: argparse.Namespace) -> dict[str, Values]:
-    """Checked values by node from the options and files. Raises ParameterError."""
+def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Values]:
+    """Checked values by node from the options and files, for a comparison those of ``law``.
+
+    Raises ParameterError.
+    """
     from valve_control.control.parameters import files
 
     array = {} if arguments.command is None else {"scenario": "array", "command_file": arguments.command}
@@ -158,8 +161,8 @@ def settings_of(arguments: argparse.Namespace) -> dict[str, Values]:
     for options in direct.values():
         options["sample_period"] = arguments.sample_period
     notes: list[str] = []
-    changes = files.given(arguments.params_file, direct, arguments.set, notes)
-    tell_notes(notes)
+    changes = files.given(arguments.params_file, direct, arguments.set, notes, law=law)
+    tell_notes([] if law else notes)
     return {node: updated(table, defaults(table), changes[node]) for node, table in NODES.items()}
 
 
@@ -307,7 +310,8 @@ def _compare(arguments: argparse.Namespace) -> None:
     command = _command(arguments, settings["command_source"])
     runs = []
     for controller in LAWS:
-        values = updated(NODES["controller"], settings["controller"], {"controller": controller})
+        own = settings_of(arguments, controller)["controller"]
+        values = updated(NODES["controller"], own, {"controller": controller})
         delivered = delivery_of(arguments, values)
         run = offline.finite_run(values, settings["valve_simulator"], command, delivered=delivered)
         if run.warning:

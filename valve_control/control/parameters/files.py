@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from valve_control import inputs
+from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.ros_file import as_yaml as as_yaml
 from valve_control.control.parameters.ros_file import config_folder as config_folder
 from valve_control.control.parameters.ros_file import from_text as from_text
@@ -15,6 +16,8 @@ from valve_control.control.parameters.ros_file import save as save
 from valve_control.control.parameters.ros_file import sections as sections
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Table, Value, Values, lookup, missing
+
+OF_MACHINE = {"sample_period", "u_max", "command_limit"}
 
 
 def load(path: str, notes: list[str] | None = None, nodes: Mapping[str, Table] = NODES) -> dict[str, Values]:
@@ -59,14 +62,17 @@ def given(
     settings: Sequence[str],
     notes: list[str] | None = None,
     nodes: Mapping[str, Table] = NODES,
+    law: str = "",
 ) -> dict[str, dict[str, Any]]:
     """Values by node from parameter files, options of their own (``direct``) and --set; later ones win.
 
-    ``nodes``: which there are, with their parameters; ``notes`` gets the notes about the files. Raises
-    ParameterError.
+    ``nodes``: which there are, with their parameters; ``notes`` gets the notes about the files; ``law``: the
+    law that is compared with others, which does not take their gains. Raises ParameterError.
     """
     changes: dict[str, dict[str, Any]] = {node: {} for node in nodes}
     loaded = [load(path, notes, nodes) for path in paths]
+    for file in loaded if law else ():
+        file["controller"] = of_law(file["controller"], law)
     options = {
         node: {name: value for name, value in values.items() if value is not None}
         for node, values in direct.items()
@@ -81,6 +87,15 @@ def given(
         for node, value in by_node.items():
             changes[node][name] = value
     return changes
+
+
+def of_law(values: Values, law: str) -> Values:
+    """Values of a file's controller for ``law``: a file of one other law alone has those of the machine."""
+    owner = values.get("controller", law)
+    prefixes = {name.partition(".")[0] for name in values} - {owner}
+    if owner == law or prefixes & LAWS.keys():
+        return values
+    return {name: value for name, value in values.items() if name in OF_MACHINE}
 
 
 def refuse_others(settings: Sequence[str], nodes: Mapping[str, Table], why: str) -> None:

@@ -247,6 +247,7 @@ def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> S
     more. Raises ParameterError, also for the folder of another study, and OSError if it cannot be written.
     """
     check_numbers(study, 0, study.valves)
+    build.commands(sampled(study, "command_source", max(study.periods)))
     folder.mkdir(parents=True, exist_ok=True)
     digest, chunk = _digest(study), chunk_of(study)
     paths = {first: folder / f"valves_{first:08d}.npz" for first in range(0, study.valves, chunk)}
