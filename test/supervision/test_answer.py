@@ -61,7 +61,7 @@ def test_a_spool_without_force_gets_no_voltage_but_short_trials(fault, law, nois
         reasons += "" if supervisor.reason in reasons else supervisor.reason
         held = supervisor.theta if supervisor.mode is Mode.SAFE else held
     assert "the spool does not follow it: supply off, stuck spool or dead LVDT" in reasons
-    assert noise == "10" or "wrong sign" not in reasons  # with 10 counts in 3 of 96 runs: docs/howto/faults.md
+    assert noise == "10" or "wrong sign" not in reasons  # docs/howto/faults.md
     assert np.mean(np.abs(voltages[500:])) < 1.0
     if theta is not None and len(theta) == 4:  # a1, a0, b0 and b0·dn
         assert held == pytest.approx(theta, rel=0.05, abs=1.5 * theta[2])  # b0 times a pull that agrees
