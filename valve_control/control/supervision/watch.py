@@ -374,16 +374,15 @@ def overdue(p: Params, m: Memory, reading: float, lost: int, elapsed: float) -> 
     """Readings that did not come before this one [V], although no number is missing: the driver stood still.
 
     The spool has then moved for all of the ``elapsed`` [s]. Before a reading that only comes late, and others
-    at its heels, it has moved for one period. The way that it has gone tells which of both.
+    at its heels, it has moved for one period. The way that is nearer to its own tells which of both.
     """
     periods = elapsed / p.lvdt.period
     most = p.lvdt.hold_samples + 1.5
     if lost > 0 or not OVERDUE <= periods < most or p.lvdt.pace.limit >= rate.ANY or m.law is None:
         return 0
-    way = m.velocity.velocity * p.lvdt.period
-    if not abs(reading - m.measurement - way) > 0.5 * abs(way) + NOISE * p.lvdt.judge.tolerance:
-        return 0
-    return int(periods - 0.5)
+    missing, way, gone = int(periods - 0.5), m.velocity.velocity * p.lvdt.period, reading - m.measurement
+    least = max(abs(gone - (1 + missing) * way), 0.5 * abs(way) + NOISE * p.lvdt.judge.tolerance)
+    return missing if abs(gone - way) > least else 0
 
 
 def is_behind(p: Params, m: Memory, elapsed: float) -> bool:
