@@ -226,8 +226,8 @@ def test_parameters_are_saved_and_loaded(page, ros, folder):
     page.wait_for("#file-answer", f"wrote {folder}/saved.yaml")
     saved = yaml.safe_load((folder / "saved.yaml").read_text())["/controller"]["ros__parameters"]
     assert saved["pid"]["kp"] == 1.0
-    page.type("pid.kp", "1.1")
-    spin_until(ros, lambda: kp(ros) == 1.1, "a change")
+    page.type("pid.kp", "2")
+    spin_until(ros, lambda: kp(ros) == 2.0, "a change")
     page.press("#load")
     page.wait_for("#file-answer", "of which")
     spin_until(ros, lambda: kp(ros) == 1.0, "the saved value")
@@ -369,7 +369,7 @@ def test_each_node_of_the_valve_has_its_form(page, ros):
 
 def test_a_recording_is_begun_and_ended(page, folder):
     page.press("#record")
-    page.wait_for("#record-state", "messages")
+    page.wait_for("#record-state", "parameters of /controller")
     page.press("#record")
     page.wait_for("#record-state", "recorded")
     bag = Path(page.text("#record-state").split()[1])

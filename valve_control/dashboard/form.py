@@ -76,8 +76,11 @@ class Row:
             self._entry.set_value(self._node.values[self.name])
 
     async def _typed(self, event: events.GenericEventArguments) -> None:
+        text = str(event.args).strip()
+        if self._parameter.type_name == "double" and text.lstrip("+-").isdecimal():
+            text += ".0"  # 3 is a gain too: unlike a file, the form knows the type
         try:
-            value = from_text(self._parameter, str(event.args).strip())
+            value = from_text(self._parameter, text)
         except ParameterError as error:
             self._refusal.set_text(f"{error}; nothing was changed")
         else:

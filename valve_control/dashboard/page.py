@@ -99,7 +99,6 @@ class Page:
             self._choice = ui.select({}, on_change=self._choose).props('dense outlined aria-label="valve"')
             self._choice.classes("vc-choice")
             self._mode = ui.label("").classes("vc-mode").props("id=mode role=status")
-            ui.space()
             with ui.element("div").classes("vc-buttons").props(inert):
                 self._record_button = ui.button("Record", on_click=self._record).props(
                     "id=record no-caps outline"
