@@ -184,6 +184,7 @@ def test_a_random_valve_always_has_a_result(run, tmp_path, seed, law):
         (["--command", "still.csv"], "the command still.csv does not move; there is nothing to tune on"),
         (["--command", "short.csv"], "short.csv lasts 0.01 s; to tune on it, it must last at least 1 s"),
         (["--output", "a.csv"], "a.csv"),
+        (["--preview", "--command-drift", "50"], "leave --command-period, -jitter and -drift out"),
         (
             ["--fix", "speed", "--fix", "friction.coulomb", "--fix", "lvdt.noise"],
             "every quantity of the box is fixed; there is no spread to tune for",

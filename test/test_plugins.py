@@ -111,6 +111,7 @@ NO_GAIN = "], (), build"
 BROKEN = [
     ('Law("mine"', 'Law("arc"', "the name is taken by a law of valve_control"),
     ('Law("mine"', 'Law("My law"', "its name is 'My law'; it must be one word in lower case"),
+    ('Law("mine"', "Law(7", "left out: 'int' object has no attribute"),
     ("import sys\n", "import sys\nimport not_there\n", "it cannot be imported: ModuleNotFoundError"),
     ("command, measurement, offset)", "command)", "its first step fails: TypeError: step() takes"),
     ("def hold(", "def held(", "its first step fails: AttributeError: module 'law_"),

@@ -78,7 +78,7 @@ def test_whole_chunks_of_a_file_that_is_cut_anywhere_are_kept(tmp_path, compress
 
 
 @pytest.mark.parametrize("damage", ["a bit in it", "its first bytes"])
-def test_a_damaged_chunk_is_left_out_and_counted(bag, damage):
+def test_a_damaged_chunk_is_left_out_and_counted(bag, tmp_path, monkeypatch, damage):
     path = bag / "bag_0.mcap"
     place = chunks(path)[2]
     data = bytearray(path.read_bytes())
@@ -92,6 +92,8 @@ def test_a_damaged_chunk_is_left_out_and_counted(bag, damage):
     assert len(read_mcap(result.out / "bag_recovered_0.mcap")) == 400
     assert content(bag) == before
     assert not (again := recover(result.out)).problems and again.out is None
+    monkeypatch.chdir(bag.rename(tmp_path / "run.1"))
+    assert recover(Path()).out == tmp_path / "run.1_recovered"
 
 
 @pytest.mark.parametrize("storage", STORAGES)

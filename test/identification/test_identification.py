@@ -148,6 +148,7 @@ def test_dead_time_of_the_simulated_valve_comes_back():
     [
         {"valve": "custom", "numerator": [1.0], "denominator": [1.0, -5.0, 100.0]},
         {"flow_force": -1.3},
+        {"flow_force": -1.207},
         {"drift.stiffness": -0.2},
     ],
 )

@@ -280,13 +280,21 @@ def users(port):
 
 @pytest.mark.parametrize("active", [False, True])
 @pytest.mark.parametrize("kind", [DeviceController, ValveDriver])
-def test_cleaning_up_or_shutting_down_a_node_with_a_device_closes_the_port(ros, kind, active):
-    card = serial_card.Card()
+def test_cleaning_up_or_shutting_down_a_node_with_a_device_closes_the_port(
+    ros, tmp_path, capfd, kind, active
+):
+    card, link = serial_card.Card(), tmp_path / "port"
     before = users(card.port)
-    words = ["-p", "driver:=serial", "-p", f"serial.port:={card.port}", "-p", "autostart:=false"]
-    node = kind(cli_args=["--ros-args", *words])
+    link.symlink_to(card.port)
+    node = kind(cli_args=["--ros-args", "-p", "driver:=serial", "-p", f"serial.port:={link}"])
     try:
+        node.trigger_deactivate()
+        node.trigger_cleanup()
         for _ in range(2):
+            link.unlink()
+            node.trigger_configure()
+            assert f"{link} cannot be opened" in capfd.readouterr().err
+            link.symlink_to(card.port)
             node.trigger_configure()
             assert users(card.port) == before + 1
             if active:

@@ -41,6 +41,8 @@ PARAMETERS = (  # node, its parameters, words of the sentence, exit status if it
 )  # fmt: skip
 LINES = (  # node, its command line, words of the sentence
     ("controller", ["--params-file", "boom.yaml"], "unrecognized arguments: --params-file boom.yaml"),
+    ("controller", ["driver:=simulated"], "unrecognized arguments: driver:=simulated"),
+    ("valve_driver", ["--check", "driver:=simulated"], "driver:=simulated stands before --ros-args"),
     ("controller", ["--ros-args", "--params-file", "."], "Couldn't parse params file"),
     ("valve_simulator", ["--ros-args", "--params-file", "gone.yaml"], "Couldn't parse params file"),
     ("manifold", ["--ros-args", "-p", "valves:=[a,b]", "--params-file", "a.yaml"],

@@ -82,6 +82,10 @@ TEXTS = {
         ),
         PLAIN,
     ),
+    "first rows almost empty, a remark among them": (
+        lambda t: HEADER + "-0.002,,,\n# armed\n-0.001,,,\n" + text(t),
+        PLAIN,
+    ),
     "UTF-16 of a spreadsheet": (lambda t: "\ufeff" + HEADER.replace(",", "\t") + text(t, "\t"), PLAIN),
     "a mark of the byte order, a name with a degree sign": (
         lambda t: "\ufefftime_s,command,lvdt,u,T [°C]\n" + text(np.column_stack([t, t[:, 0]])),

@@ -106,7 +106,8 @@ def test_command_prints_replays_and_draws(tmp_path, capsys, monkeypatch):
     assert result["valves"] == 12 and len(list((tmp_path / result["folder"]).glob("valves_*.npz"))) == 2
     assert main(["study", *options, "--valves", "16"]) == 0
     assert "12 of 16 valves" not in capsys.readouterr().err  # both chunks were whole
-    assert main(["study", *options, "--replay", "5", "--output", "worst.yaml"]) == 0
+    assert main(["study", *options, "--replay", "5", "--output", "worst.yaml", "--json", "worst.json"]) == 0
+    assert json.loads((tmp_path / "worst.json").read_text())["valve_simulator"]["seed"] == 8
     assert main(["simulate", "--params-file", "worst.yaml", "--json", "five.json"]) == 0
     rows = np.load(tmp_path / result["folder"] / "valves_00000000.npz")["rows"]
     five = json.loads((tmp_path / "five.json").read_text())

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import interrupts, outputs, priority
-from valve_control.cli.common import check_processes, check_search, event, say, write_json, wrote
+from valve_control.cli.common import check_processes, check_search, say, write_json, wrote
 from valve_control.control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, number, word
 
@@ -286,7 +286,6 @@ class _Steps:
         total = max(total, done)  # a search may end a little after the sets that were planned
         self._bar.total = total
         self._bar.update(done - self._bar.n)
-        event(done=done, total=total)
 
     def tested(self, name: str, record: "Record") -> None:
         """Keep a whole test, after which another commissioning can go on."""

@@ -4,7 +4,6 @@
 
 import argparse
 import contextlib
-import json
 import os
 import sys
 import time
@@ -19,7 +18,6 @@ from valve_control.recordings.bags.errors import BagError
 
 MOST_PER_CORE = 4  # processes or threads
 MOST_SEED, MOST_VALVES = 2_000_000_000, 100_000  # of a search
-EVENTS = "VALVE_CONTROL_EVENTS"  # file descriptor on which a command tells what it has done and written
 SOON, EVERY = 2.0, 5.0  # s  to the first line of progress, and from one to the next
 
 
@@ -159,7 +157,6 @@ class Progress:
         if self._first < 0:
             self._first, self._began, self._next = done, now, now + SOON
         elif now >= self._next and self._first < done < self._total:
-            event(done=done, total=self._total)
             self._next = now + EVERY
             left = (now - self._began) * (self._total - done) / (done - self._first)
             print(f"{done} of {self._total} {self._things}{more}, {left:.0f} s left", file=sys.stderr)
@@ -169,18 +166,9 @@ def say(arguments: argparse.Namespace, text: str) -> None:
     print(text, file=sys.stderr if arguments.json == "-" else sys.stdout)
 
 
-def event(**told: Any) -> None:
-    """Tell whoever started the command: a line of JSON on the descriptor that EVENTS names, if it is set."""
-    number = os.environ.get(EVENTS, "")
-    if number.isdecimal():
-        with contextlib.suppress(OSError):
-            os.write(int(number), json.dumps(told).encode() + b"\n")
-
-
 def wrote(arguments: argparse.Namespace, path: object, more: str = "") -> None:
     """Say that the file or folder ``path`` is there."""
     say(arguments, f"wrote {path}{more}")
-    event(wrote=str(path))
 
 
 def deliver(arguments: argparse.Namespace, path: str, content: str | bytes) -> None:

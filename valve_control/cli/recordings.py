@@ -240,7 +240,7 @@ def _overrides(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
     direct = {"controller": {"controller": arguments.controller}}
     notes: list[str] = []
-    changes = files.given(arguments.params_file, direct, arguments.set, notes)
+    changes = files.given(arguments.params_file, direct, arguments.set, notes, recorded=True)
     tell_notes(notes)
     return changes
 

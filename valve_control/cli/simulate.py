@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
 SIMULATED = (
     "valve", "scenario", "command", "sample_period", "duration", "seed", "command_period", "command_jitter",
-    "set", "params_file",
+    "command_drift", "set", "params_file",
 )  # fmt: skip
 LONG = 5_000_000  # samples from which on a run shows its progress
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices

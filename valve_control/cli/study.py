@@ -127,6 +127,8 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ParameterError(f"--limit is {arguments.limit:g} V; it must be above 0 V, and finite")
     if (arguments.output is None) != (arguments.replay is None):
         raise ParameterError("--replay and --output write the parameters of one valve; give both")
+    if arguments.replay is not None and arguments.figure is not None:
+        raise ParameterError("--figure is of the whole study; leave it out, or --replay")
     if arguments.seed is not None:
         raise ParameterError("--seed says nothing here: each valve has a seed of its own; see --study-seed")
 
@@ -227,3 +229,4 @@ def _write_valve(arguments: argparse.Namespace, chosen: "Study") -> None:
     settings = robustness.settings_of_number(chosen, arguments.replay)
     comment = f"valve {arguments.replay} of a study with seed {chosen.seed}"
     deliver(arguments, arguments.output, files.as_yaml(settings, [comment]))
+    write_json(arguments, {"number": arguments.replay, **settings})

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from valve_control.design.tuning.trial import TuningLimits, TuningMotion
     from valve_control.design.tuning.tuner import Tuned
 
+DELIVERY = ("command_period", "command_jitter", "command_drift")
 FAILED = 1  # exit status if gains of a law are not accepted
 
 
@@ -176,8 +177,10 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ParameterError("tune without --output or --json keeps no gains; give one of them")
     check_processes("threads", arguments.threads)
     check_search(_seed(arguments), arguments.valves, arguments.unseen, arguments.budget)
-    if arguments.preview and (arguments.command_period, arguments.command_jitter) != (None, None):
-        raise ParameterError("with --preview motions are known ahead; leave --command-period and -jitter out")
+    if arguments.preview and any(getattr(arguments, name) is not None for name in DELIVERY):
+        raise ParameterError(
+            "with --preview motions are known ahead; leave --command-period, -jitter and -drift out"
+        )
     if arguments.max_chatter is not None and not 0.0 < arguments.max_chatter < math.inf:
         raise ParameterError(f"--max-chatter is {arguments.max_chatter:g}; it must be above 0, and finite")
     for option in LIMITS:
@@ -210,7 +213,7 @@ def _request(arguments: argparse.Namespace) -> "tuple[Request, RecordedRun | Non
     from valve_control.design.tuning import request
 
     settings = settings_of(argparse.Namespace(**{**vars(arguments), "controller": None, "command": None}))
-    chosen = files.given(arguments.params_file, {}, arguments.set)["controller"]
+    chosen = files.given(arguments.params_file, {}, arguments.set, recorded=True)["controller"]
     recorded = None
     if arguments.bag is not None:
         recorded = _recorded(arguments, settings, chosen)
@@ -258,8 +261,8 @@ def _recorded(arguments: argparse.Namespace, settings: Mapping[str, Values], cho
     from valve_control.recordings import recording
     from valve_control.recordings.bags.errors import BagError
 
-    named = ("command", "scenario", "valve", "sample_period", "duration", "command_period", "command_jitter")
-    for name in named:
+    named = ("command", "scenario", "valve", "sample_period", "duration")
+    for name in (*named, *DELIVERY):
         if getattr(arguments, name) not in (None, []):
             raise ParameterError(f"tune --bag takes no --{name.replace('_', '-')}; the bag has its own")
     if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:

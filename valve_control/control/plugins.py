@@ -38,7 +38,7 @@ def add(
         package = package_of(point)
         try:
             entry: Any = accepted(_imported(point), known)
-        except PluginError as reason:
+        except Exception as reason:  # a field of a wrong type has its own
             left_out[point.name] = f"the {kind} '{point.name}' of the package {package} is left out: {reason}"
         else:
             known[entry.name] = entry._replace(package=package)

@@ -24,6 +24,7 @@ class DeviceNode(Managed):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         self._device: Device | None = None  # None: it is not open
         self._refusal = ""  # why it could not be opened
+        self._starts = False  # by itself, which ends the process with the reason
         super().__init__(*arguments, **options)
 
     def device_values(self) -> Values:
@@ -41,7 +42,9 @@ class DeviceNode(Managed):
 
     def autostart(self) -> None:
         """Configure and activate. Raises ParameterError if the device cannot be opened."""
+        self._starts = True
         self.trigger_configure()
+        self._starts = False
         if self._refusal:
             raise ParameterError(self._refusal)
         self.trigger_activate()
@@ -53,7 +56,7 @@ class DeviceNode(Managed):
             device.open()
         except DriverError as error:
             self._refusal = str(error)
-            if not self.device_values()["autostart"]:
+            if not self._starts:
                 self.get_logger().error(self._refusal)
             return TransitionCallbackReturn.FAILURE
         self._device, self._refusal = device, ""

@@ -97,6 +97,17 @@ def _finished(nodes: Sequence[Any]) -> bool:
     return whole
 
 
+def stray_words(arguments: Sequence[str]) -> list[str]:
+    """Words that stand not between --ros-args and --; rcl would take some of them for remappings."""
+    found, inside = [], False
+    for word in arguments:
+        if word == "--ros-args" or (inside and word == "--"):
+            inside = word == "--ros-args"
+        elif not inside:
+            found.append(word)
+    return found
+
+
 def run(make: Callable[[], Sequence[Any]]) -> int:
     """Run the nodes that ``make`` creates until SIGINT or SIGTERM; returns the exit status."""
 
@@ -113,7 +124,8 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     try:
-        parser.parse_args(remove_ros_args(sys.argv)[1:])
+        parser.parse_args(stray_words(sys.argv[1:]))
+        remove_ros_args(sys.argv)  # refuses, and writes no line of the log as init does
         check_log_folder(os.environ)
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy has no public type for bad --ros-args

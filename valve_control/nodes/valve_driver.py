@@ -34,7 +34,7 @@ from valve_control.nodes.adapter import (
     encoded,
 )
 from valve_control.nodes.device_node import LEVELS, MOST_MISSING, DeviceNode
-from valve_control.nodes.loop import first_line, run
+from valve_control.nodes.loop import first_line, run, stray_words
 from valve_control.nodes.timing import WINDOW, of_periods, spread
 from valve_control.parameter import ParameterError, Values, number, word
 
@@ -296,6 +296,10 @@ class ValveDriver(DeviceNode):
 def check(arguments: Sequence[str]) -> int:
     """Dry run with the parameters of a command line; returns the exit status."""
     try:
+        if stray := stray_words(arguments):
+            raise ParameterError(
+                f"{' '.join(stray)} stands before --ros-args; write --ros-args -p NAME:=VALUE"
+            )
         rclpy.init(args=["valve_driver", *arguments])
     except Exception as error:  # rclpy has no public type for bad --ros-args
         print(f"valve_driver: {first_line(error)}", file=sys.stderr)

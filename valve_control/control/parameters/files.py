@@ -63,11 +63,13 @@ def given(
     notes: list[str] | None = None,
     nodes: Mapping[str, Table] = NODES,
     law: str = "",
+    recorded: bool = False,
 ) -> dict[str, dict[str, Any]]:
     """Values by node from parameter files, options of their own (``direct``) and --set; later ones win.
 
     ``nodes``: which there are, with their parameters; ``notes`` gets the notes about the files; ``law``: the
-    law that is compared with others, which does not take their gains. Raises ParameterError.
+    law that is compared with others, which does not take their gains; ``recorded``: a recording has the other
+    values. Raises ParameterError.
     """
     changes: dict[str, dict[str, Any]] = {node: {} for node in nodes}
     loaded = [load(path, notes, nodes) for path in paths]
@@ -86,6 +88,12 @@ def given(
             raise ParameterError(f"--set {text} has no effect here, because running nodes alone read {name}")
         for node, value in by_node.items():
             changes[node][name] = value
+    chosen = {name: value for values in changes.values() for name, value in values.items()}
+    for name in () if recorded else (text.partition("=")[0].strip() for text in settings):
+        prefix, dot, last = name.rpartition(".")
+        choice = f"{prefix}.model" if dot else "valve"
+        if last in ("numerator", "denominator") and chosen.get(choice) != "custom":
+            raise ParameterError(f"--set {name} has no effect without {choice}=custom")
     return changes
 
 

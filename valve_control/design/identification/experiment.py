@@ -82,7 +82,10 @@ def simulated(controller: Values, valve: Values, command: Values, motion: Floats
         )
     with np.errstate(over="ignore", invalid="ignore"):
         run = offline.simulate(open_loop, valve, motion, alone=True)
-    if not np.all(np.abs(run.measurement) <= DIVERGED * u_max):
+    model = build.valve_model(valve)  # to whose input flow force feeds the position back
+    poles = np.roots(np.polyadd(model.denominator, number(valve, "flow_force") * np.array(model.numerator)))
+    slow = np.any(poles.real >= -1e-9 * np.abs(poles))
+    if slow or not np.all(np.abs(run.measurement) <= DIVERGED * u_max):
         raise ParameterError(
             "the position runs away: the valve is unstable and has no frequency response without feedback"
         )

@@ -92,14 +92,16 @@ def _is_number(cell: str, separator: str) -> bool:
 def _first_row(lines: Sequence[tuple[int, str]], separator: str) -> tuple[float, int, int, str] | None:
     """Share of numbers and number of cells of the first row, its index, and the separator.
 
-    Half of its cells at least are numbers, and the two lines behind it have as many cells.
+    Half of its cells at least are numbers (beside empty ones, more than half of the others), and the two rows
+    behind it have as many cells.
     """
     for at, (_, line) in enumerate(lines):
         cells = _cells(line, separator)
-        share = sum(_is_number(cell, separator) for cell in cells) / max(1, len(cells))
-        if not line.startswith(COMMENTS) and share >= 0.5:
-            following = [len(_cells(after, separator)) for _, after in lines[at : at + 3]]
-            if following.count(len(cells)) == len(following):
+        filled = [cell for cell in cells if cell.lower() not in MISSING]
+        share = sum(_is_number(cell, separator) for cell in filled) / max(1, len(filled))
+        if not line.startswith(COMMENTS) and (share > 0.5 or (share == 0.5 and filled == cells)):
+            rows = [row for _, row in lines[at:] if not row.startswith(COMMENTS)][:3]
+            if all(len(_cells(row, separator)) == len(cells) for row in rows):
                 return share, len(cells), at, separator
     return None
 

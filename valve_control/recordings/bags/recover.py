@@ -39,7 +39,9 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
         if lost:
             bag.problems.append(f"metadata.yaml names {listed} messages, the files hold {count}")
         whole = count == 0 or not bag.problems
-        target = None if whole else _copied(bag, out or path.with_name(f"{path.stem}_recovered"))
+        place = path if path.name.strip(".") else path.resolve()
+        beside = place.with_name(f"{place.name if place.is_dir() else place.stem}_recovered")
+        target = None if whole else _copied(bag, out or beside)
         return Recovered(path, target, count, lost, bag.damaged_chunks, bag.problems)
 
 
