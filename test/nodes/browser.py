@@ -52,14 +52,14 @@ class Window:
 
     def act(self, selector, action):
         """Do something with an element, again with its successor if the page draws it anew meanwhile."""
-        from selenium.common.exceptions import ElementNotInteractableException, StaleElementReferenceException
+        from selenium.common.exceptions import WebDriverException
 
         def done():
             element = self.find(selector)
             try:
                 self.js("arguments[0].scrollIntoView({block: 'center'})", element)
                 action(element)
-            except (ElementNotInteractableException, StaleElementReferenceException):  # it moves yet
+            except WebDriverException:  # it moves yet
                 return False
             return True
 
