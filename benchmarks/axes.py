@@ -20,7 +20,7 @@ from valve_control.axis import run as runs
 from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.axis.upper import LEVELS
 from valve_control.control.compiling import compile_function
-from valve_control.control.parameters import files
+from valve_control.control.parameters import files, ros_file
 from valve_control.parameter import Values, updated
 
 Array = npt.NDArray[np.float64]
@@ -59,7 +59,7 @@ def batch(setups: Sequence[runs.Setup], threads: int) -> list[runs.Indices]:
 
 def settings(level: str) -> dict[str, Values]:
     """Values by node of the bench under an upper level, over 6 s."""
-    path = str(files.config_folder() / "axis" / "bench.yaml")
+    path = str(ros_file.config_folder() / "axis" / "bench.yaml")
     own = {"axis_controller": {"upper_level": level, "duration": SECONDS}}
     own["controller"] = {"controller": "oarc"}
     given = files.given([path], own, [], None, AXIS_NODES)

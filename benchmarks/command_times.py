@@ -26,7 +26,7 @@ from valve_control.arrays import Floats
 from valve_control.cli.common import Parser, write_json
 from valve_control.control.analysis.indices import rms
 from valve_control.control.commands import scenarios
-from valve_control.control.parameters import build, files
+from valve_control.control.parameters import build, files, ros_file
 from valve_control.control.parameters.table import NODES
 from valve_control.control.simulation import offline
 from valve_control.control.simulation.delivery import Delivery
@@ -81,7 +81,7 @@ def motions(rate: int) -> dict[str, Floats]:
 
 def tuned() -> list[Case]:
     """The eight sets of gains of config/tuned for the valves of config/."""
-    config, cases = files.config_folder(), []
+    config, cases = ros_file.config_folder(), []
     for valve in VALVES:
         for law in LAWS:
             settings = {node: defaults(table) for node, table in NODES.items()}

@@ -37,7 +37,7 @@ from rclpy.signals import SignalHandlerOptions
 from benchmarks import solenoid
 from benchmarks.invented import invented, motions
 from valve_control import outputs
-from valve_control.control.parameters import build
+from valve_control.control.parameters import build, ros_file
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.simulation import offline
 from valve_control.nodes.adapter import EVERYTHING
@@ -63,7 +63,7 @@ PATIENT = {"lvdt.hold_samples": 5000, "lvdt.period_limit": 1000.0, "lvdt.frozen_
 
 def arguments_of(values: Mapping[str, Any]) -> list[str]:
     """``values`` as arguments of a node."""
-    return [word for name, value in values.items() for word in ("-p", f"{name}:={build.as_text(value)}")]
+    return [word for name, value in values.items() for word in ("-p", f"{name}:={ros_file.as_text(value)}")]
 
 
 class Seen(Listener):

@@ -19,7 +19,7 @@ import numpy as np
 from research.campaigns.drivers import KINDS, device
 from valve_control.control.parameters import drivers
 from valve_control.control.parameters.drivers import DEVICE
-from valve_control.control.parameters.files import from_text
+from valve_control.control.parameters.ros_file import from_text
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.parameter import Values, defaults, lookup, updated
 

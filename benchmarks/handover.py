@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from benchmarks.batch import BenchmarkError
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import files
+from valve_control.control.parameters import files, ros_file
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.export import folder, unit
 from valve_control.export.unit import Unit
@@ -29,7 +29,7 @@ def values(name: str) -> Values:
 def units() -> dict[str, tuple[Unit, bool]]:
     """What is measured, by the name of its row: the unit, and whether in float."""
     valve_values = updated(
-        VALVE, defaults(VALVE), files.load(str(files.config_folder() / "d3fxe.yaml"))["valve_simulator"]
+        VALVE, defaults(VALVE), files.load(str(ros_file.config_folder() / "d3fxe.yaml"))["valve_simulator"]
     )
     made = {name: (unit.law(values(name)), False) for name in LAWS}
     made |= {f"{name} --watch": (unit.watched(values(name)), False) for name in LAWS}

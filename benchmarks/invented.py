@@ -30,7 +30,7 @@ import tqdm
 from benchmarks import solenoid
 from valve_control import outputs
 from valve_control.control.commands.scenarios import command, strokes
-from valve_control.control.parameters import files
+from valve_control.control.parameters import ros_file
 from valve_control.parameter import Value, Values
 
 PERIOD = 0.001  # s
@@ -100,7 +100,7 @@ def gone_through(folder: Path, seed: int, budget: int) -> dict[str, Any]:
     frequency, values = invented(np.random.default_rng(seed))
     given: dict[str, Value] = dict(values)
     about: dict[str, Any] = {"seed": seed, "frequency_hz": frequency, "valve": given}
-    (folder / "true.yaml").write_text(files.as_yaml({"/**/valve_simulator": values}, []))
+    (folder / "true.yaml").write_text(ros_file.as_yaml({"/**/valve_simulator": values}, []))
     for way in (["--friction", "--delay"], ["--friction"], ["--delay"], []):
         done = typed(folder, "identify", "--params-file", "true.yaml", *way, "--output", "valve.yaml")
         if done.returncode == 0:
@@ -171,7 +171,7 @@ def drawn(seed: int) -> Values:
 def tuned(folder: Path, seed: int, budget: int) -> dict[str, Any]:
     """What ``tune`` makes of the valve ``seed`` with default options, and of each law."""
     began = time.monotonic()
-    (folder / "valve.yaml").write_text(files.as_yaml({"/**/valve_simulator": drawn(seed)}, []))
+    (folder / "valve.yaml").write_text(ros_file.as_yaml({"/**/valve_simulator": drawn(seed)}, []))
     done = typed(
         folder, "tune", "--controller", ",".join(ALL), "--params-file", "valve.yaml", "--budget", str(budget),
         "--threads", "1", "--json", "-",

@@ -30,7 +30,7 @@ from research.comparison import (
 from valve_control import outputs
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
-from valve_control.control.parameters import files
+from valve_control.control.parameters import ros_file
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.valve import FREE
@@ -149,7 +149,7 @@ def main() -> int:
             f"--trials {arguments.trials}{share} --only {name}",
             f"on {len(problem.plants)} valves; margins in the box: {_margins_text(wide, limits)}",
         ]
-        outputs.write(str(out / f"{stem}.yaml"), files.as_yaml({"/**/controller": values}, about))
+        outputs.write(str(out / f"{stem}.yaml"), ros_file.as_yaml({"/**/controller": values}, about))
         result = {
             "law": name,
             "preview_s": gains.ahead,

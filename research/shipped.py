@@ -46,11 +46,11 @@ def measured(valve_name: str, law_name: str, folder: Path | None = None) -> Meas
     import numpy as np
 
     from valve_control.control.analysis import indices, steps
-    from valve_control.control.parameters import files
+    from valve_control.control.parameters import files, ros_file
     from valve_control.control.parameters.table import NODES
     from valve_control.parameter import defaults, number, updated
 
-    config = files.config_folder()
+    config = ros_file.config_folder()
     settings = {node: defaults(table) for node, table in NODES.items()}
     for path in (
         config / f"{valve_name}.yaml",

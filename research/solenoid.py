@@ -174,10 +174,10 @@ def _options() -> Parser:
 
 
 def _solenoid(arguments: argparse.Namespace) -> None:
-    from valve_control.control.parameters import files
+    from valve_control.control.parameters import ros_file
 
     check_outputs(arguments, figures=[arguments.figure])
-    paths = sorted((files.config_folder() / "solenoid").glob("*.yaml"))
+    paths = sorted((ros_file.config_folder() / "solenoid").glob("*.yaml"))
     found = {path.stem: measured(path) for path in paths}
     if arguments.json != "-":
         print("\n".join(table(found)))

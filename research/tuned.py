@@ -47,7 +47,7 @@ def _options() -> Parser:
 
 def _compare(arguments: argparse.Namespace) -> None:
     from research import comparison
-    from valve_control.control.parameters import files
+    from valve_control.control.parameters import ros_file
 
     check_outputs(arguments, figures=[arguments.figure])
     count, seed, box, limit = arguments.valves, arguments.seed, arguments.box, arguments.limit
@@ -57,7 +57,7 @@ def _compare(arguments: argparse.Namespace) -> None:
         raise ParameterError(f"--seed is {seed}; it must be 0 or more")
     if not 0.0 < limit < math.inf:
         raise ParameterError(f"--limit is {limit:g}; it must be above 0, and finite")
-    folder = Path(arguments.gains) if arguments.gains else files.config_folder() / "tuned"
+    folder = Path(arguments.gains) if arguments.gains else ros_file.config_folder() / "tuned"
     given = comparison.setups(folder, box, limit)
     found = comparison.compare(given, count, seed, box == "wide")
     if arguments.json != "-":

@@ -4,7 +4,7 @@
 
 import pytest
 
-from valve_control.control.parameters import files
+from valve_control.control.parameters import files, ros_file
 from valve_control.control.parameters.arguments import addressed, check, matches
 from valve_control.control.parameters.drivers import VALVE_DRIVER
 from valve_control.control.parameters.table import COMMAND, CONTROLLER, MANIFOLD, VALVE
@@ -120,7 +120,7 @@ def test_values_for_a_node_are_those_of_its_sections_the_last_one_counting(tmp_p
 def test_words_that_yaml_cannot_make_a_value_of_are_refused(word, tmp_path):
     """The parser raises ValueError, KeyError, AttributeError or RecursionError for them: a traceback."""
     with pytest.raises(ParameterError, match=r"of arc.k1 is not a value"):
-        files.from_text(lookup(CONTROLLER, "arc.k1"), word)
+        ros_file.from_text(lookup(CONTROLLER, "arc.k1"), word)
     with pytest.raises(ParameterError, match=r"of --set arc.k1 is not a value"):
         files.parse_setting(f"arc.k1={word}")
     path = tmp_path / "p.yaml"
@@ -131,7 +131,7 @@ def test_words_that_yaml_cannot_make_a_value_of_are_refused(word, tmp_path):
     with pytest.raises(ParameterError, match="alias"):
         files.load(str(path))
     # As the name of a file such a word is one, and is written in quotes.
-    path.write_text(files.as_yaml({"controller": {"save_file": word}}))
+    path.write_text(ros_file.as_yaml({"controller": {"save_file": word}}))
     assert files.load(str(path))["controller"] == {"save_file": word}
 
 
@@ -140,7 +140,7 @@ def test_words_that_are_numbers_for_yaml_1_1_alone_are_refused_as_ros_does(word,
     """1:30 is 90 there, a number of base 60."""
     said = rf"arc.k1 is '{word}'; it must be a"
     with pytest.raises(ParameterError, match=said):
-        files.from_text(lookup(CONTROLLER, "arc.k1"), word)
+        ros_file.from_text(lookup(CONTROLLER, "arc.k1"), word)
     with pytest.raises(ParameterError, match=said):
         files.parse_setting(f"arc.k1={word}")
     with pytest.raises(ParameterError, match="theta_min is"):

@@ -11,7 +11,7 @@ from said import sentences
 
 from benchmarks import invented
 from valve_control.cli import command, tune
-from valve_control.control.parameters import files
+from valve_control.control.parameters import files, ros_file
 from valve_control.design.tuning import search_log, trial
 
 FIXED = ["gain", "flow_force", "disturbance.offset", "friction.static_ratio", "lvdt.delay"]
@@ -155,7 +155,7 @@ def test_a_search_that_was_stopped_goes_on_and_is_the_same(run, tmp_path, comman
 )
 def test_a_random_valve_always_has_a_result(run, tmp_path, seed, law):
     """Of model (3) with friction, and with solenoids, with the default limits and hardly a search."""
-    (tmp_path / "v.yaml").write_text(files.as_yaml({"/**/valve_simulator": invented.drawn(seed)}, []))
+    (tmp_path / "v.yaml").write_text(ros_file.as_yaml({"/**/valve_simulator": invented.drawn(seed)}, []))
     few = ["--valves", "2", "--unseen", "2", "--budget", "6", "--duration", "2", "--json", "-"]
     status, out, err = run("tune", "--controller", law, "--params-file", "v.yaml", *few)
     assert status in (0, 1), err

@@ -5,7 +5,7 @@
 import pytest
 
 from valve_control.axis import axis_parameters
-from valve_control.control.parameters import files
+from valve_control.control.parameters import ros_file
 from valve_control.control.parameters.table import RECORDER
 from valve_control.nodes import recorder
 from valve_control.parameter import ParameterError, defaults, updated
@@ -16,7 +16,7 @@ PATH = "~nobody_of_this_name/file"
 @pytest.mark.parametrize(
     ("read", "what"),
     [
-        (files.sections, "parameter file"),
+        (ros_file.sections, "parameter file"),
         (axis_parameters.known_machine, "machine"),
         (lambda path: recorder.settings(updated(RECORDER, defaults(RECORDER), {"bag": path})), "bag"),
     ],

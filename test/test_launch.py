@@ -15,7 +15,7 @@ from research.campaigns import arm as campaign
 from valve_control.axis.axis_parameters import known_machine
 from valve_control.axis.tables import ROS_NODES
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import files
+from valve_control.control.parameters import ros_file
 from valve_control.control.parameters.arguments import addressed
 from valve_control.parameter import defaults, lookup
 
@@ -62,7 +62,7 @@ def test_launch_file_names_only_what_exists(file):
 
 def test_choices_are_all_that_there_is():
     kinds = {
-        path.stem: {s.node for s in files.sections(str(path))} for path in (ROOT / "config").glob("*.yaml")
+        path.stem: {s.node for s in ros_file.sections(str(path))} for path in (ROOT / "config").glob("*.yaml")
     }
     for file in ("valve", "cascade"):
         gains = {name for name, sections in kinds.items() if sections == {"controller"}}

@@ -15,7 +15,7 @@ from research.axes.transmission_lines import Servo
 from valve_control.axis import run
 from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.compiling import compile_function
-from valve_control.control.parameters import files
+from valve_control.control.parameters import files, ros_file
 from valve_control.parameter import ParameterError, Values, number, numbers, updated
 
 Array = npt.NDArray[np.float64]
@@ -25,7 +25,7 @@ METRES = 1e-3  # m/V  of the spool
 
 
 def _settings(changes: tuple[str, ...] = ()) -> dict[str, Values]:
-    path = files.config_folder() / "axis" / "hopsan_position_servo.yaml"
+    path = ros_file.config_folder() / "axis" / "hopsan_position_servo.yaml"
     given = files.given([str(path)], {}, changes, None, AXIS_NODES)
     begun = run.default_settings()
     return {node: updated(table, begun[node], given[node]) for node, table in AXIS_NODES.items()}

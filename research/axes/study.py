@@ -20,7 +20,7 @@ from valve_control.axis import axis_arc_sampled, cascade, course, machine, run
 from valve_control.axis import axis_parameters as parameters
 from valve_control.axis.axis_parameters import AXIS, AXIS_NODES
 from valve_control.control.compiling import compile_function
-from valve_control.control.parameters import files
+from valve_control.control.parameters import files, ros_file
 from valve_control.parameter import Values, defaults, number, updated
 
 Array = npt.NDArray[np.float64]
@@ -71,7 +71,7 @@ class Result(NamedTuple):
 
 def valve_settings(name: str) -> dict[str, Values]:
     """Settings by node of the valve ``name``, of VALVES, with its controller, under axis_pid."""
-    folder = files.config_folder()
+    folder = ros_file.config_folder()
     settings = run.default_settings()
     paths = [] if name == "servo" else [str(folder / "d3fxe.yaml")]
     if name in TUNED:

@@ -24,7 +24,7 @@ from valve_control.cli.common import (
     wrote,
 )
 from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices
-from valve_control.control.parameters import files
+from valve_control.control.parameters import ros_file
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, updated
 
@@ -161,7 +161,7 @@ def _save(path: str, base: Settings, settings: Settings, result: Mapping[str, An
         }
         if differing:
             sections[f"/**/{node}"] = differing
-    outputs.write(path, files.as_yaml(sections, comments))
+    outputs.write(path, ros_file.as_yaml(sections, comments))
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from valve_control import outputs
-from valve_control.control.parameters import files
+from valve_control.control.parameters import ros_file
 from valve_control.nodes.adapter import EVERYTHING, PolledSubscription
 from valve_control.nodes.harness.processes import parse_tool, process, run_tool, tool_options, wait_until
 
@@ -31,7 +31,7 @@ SETTLING = 2.0  # s after that in which safe stops do not count
 
 def commands() -> dict[str, tuple[str, list[str]]]:
     """Node and arguments of each process by name."""
-    config = files.config_folder()
+    config = ros_file.config_folder()
     words = ["--params-file", str(config / "arm.yaml")]
     found = {"manifold": ("manifold", words)}
     for valve in VALVES:

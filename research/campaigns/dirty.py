@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import build, files
+from valve_control.control.parameters import build, files, ros_file
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.supervision.supervisor import Supervisor
@@ -125,7 +125,7 @@ class Outcome(NamedTuple):
 @cache
 def setting(name: str) -> tuple[Values, Values]:
     """Values of controller and valve of a law, or of a file of config/tuned."""
-    folder = files.config_folder()
+    folder = ros_file.config_folder()
     plant = "d3fxe_experiment" if name.startswith("d3fxe_experiment") else "d3fxe"
     own = files.load(str(folder / f"{plant}.yaml"))
     gains: Values = {"controller": name}

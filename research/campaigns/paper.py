@@ -9,7 +9,7 @@ from research.campaigns.lockstep import check, heard_enough, run_lockstep
 from research.paper import traces
 from research.paper.runs import CONFIG, paper_runs, valve_of
 from valve_control import outputs
-from valve_control.control.parameters import files
+from valve_control.control.parameters import ros_file
 from valve_control.nodes.harness.processes import parse_tool, run_tool, tool_options
 
 TRIES = 3
@@ -19,7 +19,7 @@ def main() -> int:
     """Write a trace of each run; exit status 1 if one differs from its twin offline."""
     options = tool_options("paper", __doc__, ())
     options.add_argument(
-        "--config", default=str(files.config_folder() / CONFIG), metavar="FILE", help="the valve"
+        "--config", default=str(ros_file.config_folder() / CONFIG), metavar="FILE", help="the valve"
     )
     arguments = parse_tool(options)
     folder = Path(arguments.out)

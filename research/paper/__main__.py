@@ -41,9 +41,9 @@ def _paper(arguments: argparse.Namespace) -> int:
     from research.paper import report
     from research.paper.figures import figures
     from research.paper.runs import CONFIG, paper_runs, valve_gain, valve_of
-    from valve_control.control.parameters import files
+    from valve_control.control.parameters import ros_file
 
-    config = arguments.config or str(files.config_folder() / CONFIG)
+    config = arguments.config or str(ros_file.config_folder() / CONFIG)
     valve = valve_of(config)
     planned = paper_runs(valve)
     folder = Path(arguments.out)

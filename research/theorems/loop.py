@@ -24,7 +24,7 @@ from research.theorems import bench
 from research.theorems.bench import Array, Progress
 from valve_control.control.laws import dcarc
 from valve_control.control.laws.dcarc_parts import Row
-from valve_control.control.parameters import files
+from valve_control.control.parameters import files, ros_file
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
 from valve_control.control.plant.valve import realisation
@@ -273,7 +273,7 @@ def params(changes: Values) -> dcarc.Params:
 
 def shipped() -> dict[str, dcarc.Params]:
     """The law with its defaults, and with the gains of config/tuned. Raises ParameterError without them."""
-    folder = files.config_folder() / "tuned"
+    folder = ros_file.config_folder() / "tuned"
     found = {}
     for name, stems in SHIPPED.items():
         changes: Values = {}

@@ -13,7 +13,7 @@ from valve_control.axis import axis_pid, course, run
 from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.axis.machine import Reading
 from valve_control.cli import main
-from valve_control.control.parameters import files
+from valve_control.control.parameters import files, ros_file
 from valve_control.parameter import ParameterError, defaults, updated
 
 
@@ -141,7 +141,7 @@ def test_the_command_prints_indices_and_refuses_in_one_sentence(capfd):
 @pytest.mark.parametrize("law", ["arc", "pid"])
 def test_the_lead_of_axis_arc_counts_once_whether_it_sends_commands_or_trajectories(law):
     """On the bench; counted twice, the error under arc is 1.15 times that with commands."""
-    folder = files.config_folder() / "axis"
+    folder = ros_file.config_folder() / "axis"
     errors = {}
     for message in ("command", "trajectory"):
         for lead in (0.0005, 0.004):
@@ -158,7 +158,7 @@ def test_the_lead_of_axis_arc_counts_once_whether_it_sends_commands_or_trajector
 @pytest.mark.parametrize("level", ["axis_pid", "axis_arc"])
 @pytest.mark.parametrize("machine", ["bench", "crane_boom", "crane_arm", "press"])
 def test_each_machine_moves_there_and_back_within_its_limit(machine, level):
-    folder = files.config_folder() / "axis"
+    folder = ros_file.config_folder() / "axis"
     path = str(folder / f"{machine}.yaml")
     given = files.given([path], {"axis_controller": {"upper_level": level}}, [], None, AXIS_NODES)
     base = run.default_settings()

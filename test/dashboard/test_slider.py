@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.control.parameters.files import from_text
+from valve_control.control.parameters.ros_file import from_text
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.dashboard.form import shown
 from valve_control.dashboard.slider import STEPS, scale

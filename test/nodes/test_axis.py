@@ -22,7 +22,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from valve_control.axis import axis_supervisor, run
 from valve_control.axis.axis_parameters import AXIS_NODES
-from valve_control.control.parameters import files
+from valve_control.control.parameters import files, ros_file
 from valve_control.control.supervision.record import Mode
 from valve_control.nodes import loop
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, NumberSubscription
@@ -35,7 +35,7 @@ MACHINES = ("bench", "crane_boom", "press")
 
 
 def path_of(machine):
-    return str(files.config_folder() / "axis" / f"{machine}.yaml")
+    return str(ros_file.config_folder() / "axis" / f"{machine}.yaml")
 
 
 def settings(machine, **changes):
@@ -455,7 +455,7 @@ def test_an_axis_whose_sensor_fails_ends_with_0_v_on_the_valve(ros, tmp_path):
 
 def test_both_axes_of_the_arm_follow_goals_through_one_manifold_and_a_stop_ends_one_alone(ros, tmp_path):
     """The processes of launch/arm.launch.xml with their files, here in lockstep."""
-    arm = str(files.config_folder() / "arm.yaml")
+    arm = str(ros_file.config_folder() / "arm.yaml")
     rooms = {valve: ["-r", f"__ns:=/{valve}", "--params-file", path_of(f"crane_{valve}")] for valve in VALVES}
     heard = tmp_path / "heard.yaml"  # by the upper level and by this test
     heard.write_text("/**/axis_simulator:\n  ros__parameters:\n    listeners: 2\n")

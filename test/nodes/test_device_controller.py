@@ -23,7 +23,7 @@ from research.campaigns.lockstep import CONFIG
 from valve_control.control.drivers.device import Device, Side
 from valve_control.control.drivers.driver import Reading, patience
 from valve_control.control.drivers.scaling import Scale
-from valve_control.control.parameters import build, drivers, files
+from valve_control.control.parameters import build, drivers, ros_file
 from valve_control.control.parameters.drivers import SIMULATED
 from valve_control.control.simulation import offline
 from valve_control.control.supervision.journal import COLUMNS, HEAD
@@ -41,7 +41,7 @@ def simulated(plant):
     own = {p.name: plant[p.name.removeprefix("simulated.")] for p in SIMULATED if p.name != "simulated.paced"}
     words = ["-p", "driver:=simulated", "-p", "simulated.paced:=false"]
     for name, value in own.items():
-        words += ["-p", f"{name}:={build.as_text(value)}"]
+        words += ["-p", f"{name}:={ros_file.as_text(value)}"]
     return words
 
 
@@ -263,7 +263,7 @@ def test_the_voltage_of_a_silence_is_on_the_topic_whatever_the_decimation(ros, m
 def test_of_a_loaded_file_the_unchanged_parameters_of_the_device_are_not_counted(ros, monkeypatch, tmp_path):
     path = tmp_path / "p.yaml"
     loaded = {"driver": "serial", "serial.baud": 460800, "arc.k1": 99.0}
-    path.write_text(files.as_yaml({"/controller": loaded}))
+    path.write_text(ros_file.as_yaml({"/controller": loaded}))
     with beside(monkeypatch, Bus(), f"load_file:={path}") as valve:
         answer = valve._on_load(Trigger.Request(), Trigger.Response())
         assert answer.success and answer.message == f"3 parameters from {path}, of which 1 changed"
@@ -331,7 +331,7 @@ def test_a_silent_card_of_a_manifold_does_not_hold_up_the_other(ros, tmp_path):
         )
     words = ["-p", "valves:=[a,b]", "-p", "driver:=serial", "-p", "lvdt.period_limit:=1000.0"]
     ports = {f"/{s}/controller": {"serial.port": card.port} for s, card in zip(voltages, cards, strict=True)}
-    (tmp_path / "ports.yaml").write_text(files.as_yaml(ports))
+    (tmp_path / "ports.yaml").write_text(ros_file.as_yaml(ports))
     words += ["--params-file", str(tmp_path / "ports.yaml")]
 
     def turn(*spoken):

@@ -13,7 +13,7 @@ import rcl
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file, parameter_value_to_python
 
 from valve_control.cli import main
-from valve_control.control.parameters import build, files
+from valve_control.control.parameters import build, files, ros_file
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.adapter import plain, with_numbers
 from valve_control.parameter import defaults, updated
@@ -69,7 +69,7 @@ def test_files_of_all_commands(tmp_path, monkeypatch):
         paths.append(tmp_path / f"{name}.yaml")
         assert main([*arguments, "--output", paths[-1].name]) == 0, name
     several = ("manifold.yaml", "arm.yaml", "valve_driver.yaml")  # files of several valves, and of a real one
-    paths += [p for p in sorted(files.config_folder().glob("*.yaml")) if p.name not in several]
+    paths += [p for p in sorted(ros_file.config_folder().glob("*.yaml")) if p.name not in several]
     for path, got in zip(paths, read_by_nodes(*paths), strict=True):
         meant = files.load(str(path))
         assert any(meant[node] for node in NODES), path
@@ -93,7 +93,7 @@ def test_numbers_stay_numbers_and_words_stay_words(tmp_path, node):
         values["arc.epsilon"] = max(1e-9, HARD[i % len(HARD)] if HARD[i % len(HARD)] < 1e12 else 1e12)
         values["arc.gamma"] = values["oarc.gamma"] = [0.0, 1e-05, 1e12, 2.0]
         paths.append(tmp_path / f"{i}.yaml")
-        files.save(paths[-1], node, values)
+        ros_file.save(paths[-1], node, values)
         text = paths[-1].read_text()
         assert "&id" not in text and "*id" not in text
         assert files.load(str(paths[-1]))["controller"] == values
@@ -140,7 +140,7 @@ CUSTOM = {
 def test_models_are_written_in_an_order_in_which_param_load_can_load_them(tmp_path, law):
     values = {f"{law}.{name}": value for name, value in CUSTOM.items()}
     path = tmp_path / "model.yaml"
-    files.save(path, "/controller", values)
+    ros_file.save(path, "/controller", values)
     assert "cannot load" not in path.read_text()
     assert loaded(path) == {**defaults(CONTROLLER), **values}
 
@@ -161,7 +161,7 @@ def test_models_are_written_in_an_order_in_which_param_load_can_load_them(tmp_pa
 def test_a_file_says_so_if_param_load_would_change_a_type(tmp_path, values, word):
     """Of 1.0e-05 it makes the word 1e-05, which a node takes for the number; other words are lost."""
     path = tmp_path / "p.yaml"
-    files.save(path, "/controller", values)
+    ros_file.save(path, "/controller", values)
     said = f"# ros2 param load cannot load this file: it changes {word}."
     assert path.read_text().startswith(said) == (word is not None)
     taken = all(same(values[name], value) for name, value in by_param_load(path))
@@ -169,7 +169,7 @@ def test_a_file_says_so_if_param_load_would_change_a_type(tmp_path, values, word
 
 
 def test_a_file_of_several_nodes_says_that_param_load_cannot_load_it():
-    text = files.as_yaml({"/**/controller": {"u_max": 5.0}, "/**/valve_simulator": {"u_max": 5.0}})
+    text = ros_file.as_yaml({"/**/controller": {"u_max": 5.0}, "/**/valve_simulator": {"u_max": 5.0}})
     assert text.startswith(
         "# ros2 param load cannot load this file: it gives a node the sections of all nodes."
     )
@@ -183,7 +183,7 @@ def test_numbers_of_every_size_are_doubles_for_rcl(tmp_path):
     path = tmp_path / "hard.yaml"
     numbers = [*HARD, 5e-324, -1e-310, float("inf"), float("-inf")]
     values = {f"v{i}": number for i, number in enumerate(numbers)}
-    path.write_text(files.as_yaml({"/**": {**values, "list": HARD, "again": HARD}}))
+    path.write_text(ros_file.as_yaml({"/**": {**values, "list": HARD, "again": HARD}}))
     script = (
         "import json, sys, rclpy; rclpy.init(args=['--ros-args', '--params-file', sys.argv[1]]);"
         "n = rclpy.create_node('n', automatically_declare_parameters_from_overrides=True);"
@@ -203,7 +203,7 @@ def test_numbers_of_every_size_are_doubles_for_rcl(tmp_path):
 
 def of_launch(file, node, **given):
     """Values that rcl's own parser makes for a node of all that a launch file hands it, in its order."""
-    path = files.config_folder().parent / "launch" / file
+    path = ros_file.config_folder().parent / "launch" / file
     return rcl.read(node, *launched.parameters(path, node, **given))
 
 

@@ -27,7 +27,7 @@ PROGRAMS = sorted(
 )
 WHERE = """
 import valve_control
-from valve_control.control.parameters.files import config_folder
+from valve_control.control.parameters.ros_file import config_folder
 print(valve_control.__file__, config_folder())
 """
 

@@ -4,10 +4,10 @@
 
 import forked
 
-from valve_control.control.parameters import files
+from valve_control.control.parameters import ros_file
 
 DEVICE = ["valves:=[a,b]", "driver:=simulated"]
-BENCH = str(files.config_folder() / "axis" / "bench.yaml")
+BENCH = str(ros_file.config_folder() / "axis" / "bench.yaml")
 PARAMETERS = (  # node, its parameters, words of the sentence, exit status if it is not 2
     ("controller", ["controller:=lqr"], "'lqr'"),
     ("controller", ["controller:=2"], "controller is 2; it must be a string"),
@@ -68,7 +68,7 @@ def starts():
 def test_each_wrong_start_is_one_sentence(tmp_path):
     folder, log = tmp_path / "folder", tmp_path / "log"
     (folder / "here").mkdir(parents=True)
-    (folder / "a.yaml").write_text(files.as_yaml({"/a/controller": {"driver": "simulated"}}))
+    (folder / "a.yaml").write_text(ros_file.as_yaml({"/a/controller": {"driver": "simulated"}}))
     for (node, given), words, status in starts():
         child = forked.Child(node, given, log, folder)
         try:

@@ -12,7 +12,7 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from valve_control.control.parameters import build, files
+from valve_control.control.parameters import build, files, ros_file
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.harness.processes import process
 from valve_control.parameter import defaults, updated
@@ -86,7 +86,7 @@ def test_a_file_that_cannot_be_written_stays_as_before(tmp_path):
     kept = tmp_path / "kept.yaml"
     kept.write_text("as before")
     with pytest.raises(OSError):
-        files.save(kept / "below", "/controller", {"u_max": 10.0})
+        ros_file.save(kept / "below", "/controller", {"u_max": 10.0})
     assert kept.read_text() == "as before"
 
 
@@ -156,7 +156,7 @@ def test_node_warns_once_of_parameters_that_may_be_meant_for_others(ros, tmp_pat
 
 def test_namespaced_parameters_are_saved_under_their_full_name(tmp_path):
     path = tmp_path / "p.yaml"
-    files.save(
+    ros_file.save(
         path, "/excavator/boom/controller", {"arc.epsilon": 1e6, "controller": "arc", "lockstep": False}
     )
     tree = yaml.safe_load(path.read_text())

@@ -11,7 +11,7 @@ from made import BEGIN, FLOAT, PERIOD, STORE, Message, Run, T, write
 from valve_control.axis import run as axis_run
 from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.cli import main
-from valve_control.control.parameters import files
+from valve_control.control.parameters import files, ros_file
 from valve_control.parameter import updated
 from valve_control.recordings.bags.writer import BagWriter
 
@@ -21,7 +21,7 @@ POINT = "trajectory_msgs/msg/JointTrajectoryPoint"
 
 @pytest.fixture(scope="module")
 def bench():
-    path = str(files.config_folder() / "axis" / "bench.yaml")
+    path = str(ros_file.config_folder() / "axis" / "bench.yaml")
     given = files.given([path], {}, [], None, AXIS_NODES)
     base = axis_run.default_settings()
     values = {node: updated(table, base[node], given[node]) for node, table in AXIS_NODES.items()}

@@ -9,12 +9,12 @@ from research import comparison
 from research.comparison import Setup
 from valve_control.control.laws import reshaping
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import files
+from valve_control.control.parameters import ros_file
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation import batch, delivery
 from valve_control.parameter import defaults, updated
 
-TUNED = files.config_folder() / "tuned"
+TUNED = ros_file.config_folder() / "tuned"
 
 
 def test_unreshaped_commands_make_the_reference_the_wanted_motion():

@@ -9,7 +9,7 @@ import changed
 import numpy as np
 
 from valve_control.control.analysis.indices import rms
-from valve_control.control.parameters import build, files
+from valve_control.control.parameters import build, files, ros_file
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import valve
 from valve_control.control.supervision.command_course import Motion
@@ -18,7 +18,7 @@ from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001
 SETTLED = 400  # samples
-D3FXE = files.load(str(files.config_folder() / "d3fxe.yaml"))["valve_simulator"]
+D3FXE = files.load(str(ros_file.config_folder() / "d3fxe.yaml"))["valve_simulator"]
 
 
 class Made(NamedTuple):

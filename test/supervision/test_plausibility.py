@@ -12,7 +12,7 @@ from test_supervisor import FADE, LAWS, PERIOD, Loop
 
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws import registry
-from valve_control.control.parameters import build, files
+from valve_control.control.parameters import build, files, ros_file
 from valve_control.control.parameters.table import NODES, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.simulation import batch, robustness
@@ -21,7 +21,7 @@ from valve_control.control.supervision.record import Mode
 from valve_control.parameter import defaults, updated
 
 FEEDBACK = tuple(name for name, law in registry.LAWS.items() if law.feedback)
-D3FXE = files.load(str(files.config_folder() / "d3fxe.yaml"))["valve_simulator"]
+D3FXE = files.load(str(ros_file.config_folder() / "d3fxe.yaml"))["valve_simulator"]
 
 
 def flipped(reading):

@@ -11,7 +11,8 @@ from typing import Any
 from valve_control import inputs
 from valve_control.axis import axis, axis_arc_sampled, axis_pid, machine, upper
 from valve_control.control.laws.common import SAMPLE_PERIOD
-from valve_control.control.parameters import build, files
+from valve_control.control.parameters import build, files, ros_file
+from valve_control.control.parameters.command import MESSAGE
 from valve_control.control.parameters.controller import AUTOSTART, CONTROLLER
 from valve_control.control.parameters.valve import VALVE
 from valve_control.control.plant import registry, sensor, valve
@@ -206,13 +207,7 @@ AXIS_CONTROLLER: Table = (
     Parameter("max_velocity", 0.25, "m/s", "largest velocity of the course", 1e-4, 100.0),
     Parameter("max_acceleration", 2.0, "m/s²", "largest acceleration of the course", 1e-4, 1e4),
     Parameter("max_jerk", 40.0, "m/s³", "largest jerk of the course", 1e-3, 1e7),
-    Parameter(
-        "message",
-        "command",
-        "",
-        "command: numbers on spool_command; trajectory: points with derivatives on spool_trajectory",
-        choices=("command", "trajectory"),
-    ),
+    MESSAGE,
     *of_node(
         Parameter(
             "machine",
@@ -428,7 +423,7 @@ def known_machine(name: str) -> Values:
 
     Raises ParameterError.
     """
-    folder = files.config_folder() / "axis"
+    folder = ros_file.config_folder() / "axis"
     path = folder / f"{name}.yaml"
     if not path.is_file():
         path = inputs.expanded(name, "machine")

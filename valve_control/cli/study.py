@@ -221,12 +221,12 @@ def _draw(path: Path, found: "StudyResult", controller: str) -> None:
 
 def _write_valve(arguments: argparse.Namespace, chosen: "Study") -> None:
     """Write valve number --replay, with controller and command, for `simulate` and the nodes."""
-    from valve_control.control.parameters import files
+    from valve_control.control.parameters import ros_file
     from valve_control.control.simulation import robustness
 
     if arguments.replay < 0:
         raise ParameterError(f"--replay is {arguments.replay}; valves are numbered from 0")
     settings = robustness.settings_of_number(chosen, arguments.replay)
     comment = f"valve {arguments.replay} of a study with seed {chosen.seed}"
-    deliver(arguments, arguments.output, files.as_yaml(settings, [comment]))
+    deliver(arguments, arguments.output, ros_file.as_yaml(settings, [comment]))
     write_json(arguments, {"number": arguments.replay, **settings})

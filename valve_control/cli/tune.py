@@ -329,7 +329,7 @@ def _searched(task: "Task", log: "SearchLog", folder: Path) -> "Outcome":
 
 
 def _save(arguments: argparse.Namespace, path: str, values: Values, one: "Tuned") -> None:
-    from valve_control.control.parameters import files
+    from valve_control.control.parameters import ros_file
     from valve_control.design.tuning import tuner, verification
 
     reached = verification.as_dict(one.chosen.verified)
@@ -340,7 +340,7 @@ def _save(arguments: argparse.Namespace, path: str, values: Values, one: "Tuned"
         f"c_u {reached['c_u']:.3f}.",
     ]
     chosen = tuner.parameters_of(one.law, values, one.chosen)
-    outputs.write(path, files.as_yaml({"/**/controller": chosen}, about))
+    outputs.write(path, ros_file.as_yaml({"/**/controller": chosen}, about))
     wrote(arguments, path)
 
 

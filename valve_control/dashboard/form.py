@@ -11,7 +11,7 @@ from typing import Any
 
 from nicegui import events, ui
 
-from valve_control.control.parameters.files import from_text
+from valve_control.control.parameters.ros_file import from_text
 from valve_control.dashboard.machine import Machine
 from valve_control.dashboard.slider import STEPS, scale
 from valve_control.dashboard.valve import FILES, NodeState, Valve

@@ -11,7 +11,6 @@ from valve_control.arrays import Floats
 from valve_control.control.commands import arrays
 from valve_control.control.commands.scenarios import Shape, steps_of, stroke_time
 from valve_control.control.parameters.controller import law_params as law_params
-from valve_control.control.parameters.ros_file import as_text as as_text
 from valve_control.control.plant import registry
 from valve_control.control.plant.models import TransferFunction
 from valve_control.parameter import ParameterError, Values, number, word

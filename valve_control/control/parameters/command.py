@@ -6,6 +6,14 @@ from valve_control.control.laws.common import SAMPLE_PERIOD
 from valve_control.control.parameters.valve import FAULT_SAMPLES
 from valve_control.parameter import Parameter, Table
 
+MESSAGE = Parameter(
+    "message",
+    "command",
+    "",
+    "command: numbers on spool_command; trajectory: points with derivatives on spool_trajectory",
+    choices=("command", "trajectory"),
+)
+
 COMMAND: Table = (
     SAMPLE_PERIOD,
     Parameter(
@@ -26,13 +34,7 @@ COMMAND: Table = (
         choices=("timer", "spool_position", "valve_voltage", "lockstep"),
         node_only=True,
     ),
-    Parameter(
-        "message",
-        "command",
-        "",
-        "command: numbers on spool_command; trajectory: points with derivatives on spool_trajectory",
-        choices=("command", "trajectory"),
-    ),
+    MESSAGE,
     Parameter(
         "every", 1, "", "number of sample periods from one message to the next", 1, 1000, node_only=True
     ),

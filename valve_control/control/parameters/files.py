@@ -7,13 +7,7 @@ from typing import Any
 
 from valve_control import inputs
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters.ros_file import as_yaml as as_yaml
-from valve_control.control.parameters.ros_file import config_folder as config_folder
-from valve_control.control.parameters.ros_file import from_text as from_text
-from valve_control.control.parameters.ros_file import from_yaml as from_yaml
-from valve_control.control.parameters.ros_file import is_of_ros
-from valve_control.control.parameters.ros_file import save as save
-from valve_control.control.parameters.ros_file import sections as sections
+from valve_control.control.parameters.ros_file import from_yaml, is_of_ros, sections
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Table, Value, Values, lookup, missing
 

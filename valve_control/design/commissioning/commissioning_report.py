@@ -11,7 +11,7 @@ from valve_control.control.analysis import page as pages
 from valve_control.control.analysis.figures import Line, Plot
 from valve_control.control.analysis.indices import Indices
 from valve_control.control.linear import margins
-from valve_control.control.parameters.build import as_text
+from valve_control.control.parameters.ros_file import as_text
 from valve_control.design.commissioning import plant
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.sequence import Result

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from valve_control import outputs
-from valve_control.control.parameters import arguments, files
+from valve_control.control.parameters import arguments, ros_file
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.design.commissioning import commissioning_report, sequence
 from valve_control.design.commissioning.bench import Record, SafetyLimits
@@ -96,7 +96,7 @@ class Folder:
                 path.rename(aside / path.name)
         self.path.mkdir(parents=True, exist_ok=True)
         about = "Parameters from before the commissioning; --undo brings them back."
-        outputs.write(str(self.path / PARAMETERS), files.as_yaml({self.node: before}, [about]))
+        outputs.write(str(self.path / PARAMETERS), ros_file.as_yaml({self.node: before}, [about]))
         self.mark(RUNNING)
         self._wrote(self.path / PARAMETERS)
         return aside
@@ -151,7 +151,7 @@ class Folder:
         self._keep(REFUSED.format(self._refusals), self.node, changes, about)
 
     def _keep(self, name: str, node: str, values: Values, about: str) -> None:
-        outputs.write(str(self.path / name), files.as_yaml({node: values}, [about]))
+        outputs.write(str(self.path / name), ros_file.as_yaml({node: values}, [about]))
         self._wrote(self.path / name)
 
     def finish(self, result: Result, command: str) -> None:
@@ -164,7 +164,7 @@ class Folder:
         texts = {
             REPORT: commissioning_report.page(result),
             RESULT: outputs.as_json(sequence.as_dict(result)),
-            TUNED: files.as_yaml({self.node: tuned_values(result.before, result.applied)}, about),
+            TUNED: ros_file.as_yaml({self.node: tuned_values(result.before, result.applied)}, about),
         }
         for name, text in texts.items():
             self.results.append(self.path / name)

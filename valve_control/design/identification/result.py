@@ -11,7 +11,8 @@ from valve_control import outputs
 from valve_control.control.analysis.figures import COLOURS, bode_axes
 from valve_control.control.laws.registry import ADAPTIVE
 from valve_control.control.parameters import build
-from valve_control.control.parameters.files import as_yaml, load
+from valve_control.control.parameters.files import load
+from valve_control.control.parameters.ros_file import as_yaml
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.identification import bode, characteristic, first_gains, rational

@@ -24,7 +24,7 @@ from tqdm import tqdm
 from valve_control import interrupts
 from valve_control.arrays import Floats
 from valve_control.axis.tables import ROS_NODES
-from valve_control.control.parameters import build, files
+from valve_control.control.parameters import files, ros_file
 from valve_control.control.parameters.arguments import matches
 from valve_control.nodes.adapter import (
     EVERYTHING,
@@ -71,13 +71,13 @@ def node_arguments(node: str, config: Sequence[str], settings: Mapping[str, Any]
     """``--params-file`` and ``-p`` arguments: what ``node`` has of ``settings`` and files of config/."""
     arguments = []
     for name in config:
-        path = str(files.config_folder() / name)
-        if any(matches(section.pattern, f"/{node}") for section in files.sections(path)):
+        path = str(ros_file.config_folder() / name)
+        if any(matches(section.pattern, f"/{node}") for section in ros_file.sections(path)):
             arguments += ["--params-file", path]
     table = {parameter.name: parameter for parameter in ROS_NODES[node]}
     for name, value in settings.items():
         if name in table:
-            arguments += ["-p", f"{name}:={build.as_text(table[name].check(value))}"]
+            arguments += ["-p", f"{name}:={ros_file.as_text(table[name].check(value))}"]
     return arguments
 
 
@@ -86,7 +86,7 @@ def node_values(node: str, config: Sequence[str], settings: Mapping[str, Any]) -
     table = ROS_NODES[node]
     changes: dict[str, Any] = {}
     for name in config:
-        changes.update(files.load(str(files.config_folder() / name), nodes=ROS_NODES)[node])
+        changes.update(files.load(str(ros_file.config_folder() / name), nodes=ROS_NODES)[node])
     names = {parameter.name for parameter in table}
     changes.update({name: value for name, value in settings.items() if name in names})
     return updated(table, defaults(table), changes)
