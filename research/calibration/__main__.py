@@ -6,7 +6,7 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,7 @@ def paper_settings() -> Settings:
     return base
 
 
-def main() -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit status."""
     parser = running.options(
         "calibration",
@@ -63,7 +63,7 @@ def main() -> int:
     parser.add_argument(
         "--output", metavar="FILE", help="ROS 2 parameter file of valve, command and controllers"
     )
-    return running.run(parser, _calibrate)
+    return running.run(parser, _calibrate, argv)
 
 
 def _calibrate(arguments: argparse.Namespace) -> int:

@@ -64,9 +64,8 @@ def test_fit_of_a_table():
 def test_written_file_has_the_indices_of_the_fit(tmp_path, monkeypatch):
     """Each law of the file, simulated by the package, gives the ratios of the first seed."""
     monkeypatch.chdir(tmp_path)
-    line = ["calibration", "--evaluations", "2", "--processes", "1", "--output", "v.yaml", "--json", "v.json"]
-    monkeypatch.setattr("sys.argv", line)
-    assert calibration.main() == 0
+    line = ["--evaluations", "2", "--processes", "1", "--output", "v.yaml", "--json", "v.json"]
+    assert calibration.main(line) == 0
     fit = json.loads((tmp_path / "v.json").read_text())["first_seed"]
     given = files.given(["v.yaml"], {}, [])
     all_values = {n: updated(t, defaults(t), given[n]) for n, t in NODES.items()}
