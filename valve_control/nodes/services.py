@@ -86,6 +86,7 @@ class Reception:
         self._closed = False
         self._bell = GuardCondition(None, None)
         self._senders = ThreadPoolExecutor(SENDERS, "send_response")
+        self._senders.submit(int)  # the first task starts a thread, which takes some periods
         self._taker = threading.Thread(target=self._take, name="take_request", daemon=True)
         self._taker.start()
 
