@@ -24,7 +24,7 @@ endif
 help:  ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
 
-setup: $(DEV)  ## virtual environment with everything that demo, test and lint need
+setup: $(DEV)  ## virtual environment with everything: nodes, tasks at the desk, tests, lint
 
 $(STAMP): requirements.txt $(ROS_WHEELS) setup.py
 	@set -e; \
