@@ -7,10 +7,11 @@ python -m research.campaigns.dirty --full     all laws, noises, converters, fric
 
 Each fault of LVDT, valve and supply comes at rest, in motion and from the start, with noise of 0, 1 and 10
 counts of the converter or with a hum. A row has the worst case of a law: time until 0 V, volt-seconds until
-then, how far the true spool went beyond the command, and for how long more than ``lvdt.disturbance`` stood
-without a break. Then sound valves rest, step and follow sines, with friction of 0.5 to 4 times: none may be
-stopped. All runs are those of the exported C. One run of each fault and law is repeated by the supervisor in
-Python: the voltages must have the same bits, and its reports tell of the faults that are not stopped.
+then, how far the true spool went beyond the command, and for how long more than ``lvdt.disturbance``, beside
+the voltage that the command itself asks for, stood without a break. Then sound valves rest, step and follow
+sines, with friction of 0.5 to 4 times: none may be stopped. All runs are those of the exported C. One run of
+each fault and law is repeated by the supervisor in Python: the voltages must have the same bits, and its
+reports tell of the faults that are not stopped.
 """
 
 import argparse
@@ -31,6 +32,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build, files, ros_file
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
+from valve_control.control.supervision import answer
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.export import compiler, sources, unit
 from valve_control.parameter import Values, defaults, number, updated
@@ -119,7 +121,7 @@ class Outcome(NamedTuple):
     reaction: float  # s  until 0 V, inf: never
     impulse: float  # V·s  until then, beyond the voltage that holds the command
     beyond: float  # V  of the true spool beyond neutral and command
-    standing: float  # s  longest stretch above lvdt.disturbance
+    standing: float  # s  longest stretch above lvdt.disturbance, beside the voltage that the command asks for
 
 
 @cache
@@ -240,7 +242,8 @@ def outcome(case: Case, given: Signals, made: Run) -> Outcome:
     beyond = float(np.max(np.maximum(low - position, position - high), initial=0.0))
     reaction = int(np.argmax(off)) if np.any(off) else len(off)
     excess = np.maximum(0.0, np.abs(voltage) - 1.1 * np.abs(command))[:reaction]
-    above = np.abs(voltage) > number(setting(case.law)[0], "lvdt.disturbance")
+    pull = np.abs(voltage) - answer.SPREAD * np.abs(command)
+    above = pull > number(setting(case.law)[0], "lvdt.disturbance")
     stretches = np.diff(np.flatnonzero(np.concatenate(([True], ~above, [True])))) - 1
     return Outcome(
         reaction * PERIOD if reaction < len(off) else math.inf,
