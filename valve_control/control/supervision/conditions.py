@@ -7,16 +7,6 @@ from typing import NamedTuple
 LATCH = 1.0  # s for which a passing event stays reported
 
 
-class ReportedCondition(NamedTuple):
-    """A condition that a watch reports, as the user reads of it."""
-
-    names: tuple[str, ...]  # under which it is reported
-    mode: str  # degraded, safe, and under what circumstances
-    sentence: str  # with … for its figures
-    meaning: str
-    action: str  # of the user
-
-
 class State(NamedTuple):
     """The reported sentences and events; both dictionaries are replaced, never changed in place."""
 

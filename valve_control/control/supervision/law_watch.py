@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 from valve_control.control.laws import linearisation
 from valve_control.control.supervision import conditions
-from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number
 
 ASSUMPTIONS = {
@@ -17,33 +16,6 @@ ASSUMPTIONS = {
     "burden": "observer and compensation make good more disturbance than the spread of the weights allows: "
     "the valve has left the assumed model, friction, flow force or offset",
 }  # what is said when a term of the law is above the one of its name with _bound
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("saturation",),
-        "degraded",
-        "saturated for more than … s",
-        "the time at ±`u_max` exceeds the time below it by `saturation_limit`; estimates and "
-        "integrator stand still",
-        "command too fast, `reshaping.*`, jammed spool",
-    ),
-    ReportedCondition(
-        ("assumptions",),
-        "degraded",
-        "V2 is above its guaranteed bound",
-        "the valve has left the assumed ranges of θ or the disturbance bound",
-        'see "The assumption monitor"',
-    ),
-    ReportedCondition(
-        ("law_not_finite",),
-        "safe",
-        "the control law … produced NaN or infinity after … s; … raised … (file, line) after … s",
-        "its gains are far from any stable set, or the law of a package is wrong; 0 V for "
-        "`lvdt.hold_off`, each time twice as long",
-        "the gains; the named line",
-    ),
-)
 
 
 class Params(NamedTuple):

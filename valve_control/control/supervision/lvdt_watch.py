@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 from valve_control.control.laws import velocity
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.supervision import lvdt, plausibility, rate
-from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number, numbers, word
 
 TACHOMETER_CUTOFF = 50.0  # Hz, of the velocity with which a law takes over
@@ -22,45 +21,6 @@ REST_LIMIT = 0.5  # s  ... but a noisy reading must not keep the valve off for e
 DISTURBANCE = 5.0  # V  for standing readings, where readings shall not be compared with the voltage
 PROBATION = 1.2  # times the largest disturbance: the voltage while readings are doubted
 DOUBTS = ("lvdt_jump", "lvdt_disagrees")  # after which readings are not believed because they are smooth
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("lvdt_missing",),
-        "safe",
-        "no LVDT reading yet; LVDT readings come every … ms, sample_period is … ms",
-        "no message has arrived on `spool_position`, or they have had a wrong period since the activation",
-        "start the driver; compare topic, namespace, QoS (`ros2 topic info -v`); `sample_period`",
-    ),
-    ReportedCondition(
-        ("lvdt_silent",),
-        "safe",
-        "LVDT is silent for more than … samples",
-        "no reading in time; detected by a watchdog that each reading re-arms",
-        "cable, driver; `lvdt.hold_samples` if the driver's pauses are harmless",
-    ),
-    ReportedCondition(
-        ("stalled",),
-        "safe",
-        "the controller's process stood still for more than … samples",
-        "this process got no CPU; messages that arrived meanwhile are stale and dropped",
-        "`realtime.*`; fewer other processes",
-    ),
-    ReportedCondition(
-        ("lvdt_silent",),
-        "safe",
-        "… LVDT readings lost in a row",
-        "the number of lost readings exceeds `lvdt.hold_samples`",
-        "network, queue of the driver",
-    ),
-    ReportedCondition(
-        ("lvdt_bridged",),
-        "degraded",
-        "LVDT readings lost: bridged",
-        "up to `lvdt.hold_samples` readings were lost; the law was stepped over them with the correct time",
-        "network; look at `lvdt_lost`",
-    ),
-)
 
 
 class Params(NamedTuple):

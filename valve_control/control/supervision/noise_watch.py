@@ -13,7 +13,6 @@ import math
 from typing import NamedTuple
 
 from valve_control.control.supervision import plausibility
-from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number
 
 SHARE = 1.954  # mean |D| over σ
@@ -26,19 +25,6 @@ ROUNDING = 0.3  # of the converter's step, noise that rounding gives in motion
 FLOOR = 0.005  # V  noise below is none that is reported
 LASTING = 2.0  # windows in a row
 CALMED = 0.75  # of the reported noise, below which the word ends
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("lvdt_noise",),
-        "degraded",
-        "LVDT noise is … mV rms, … mV at the start",
-        "for 0.5 s the noise is more than four times that of the first second of control, and "
-        "more than 5 mV; it is computed from the second differences of the readings, without the "
-        "part that the voltage explains; not with `lvdt.disturbance: 0.0`",
-        "cable, shield and converter of the LVDT; lower cut-off of the law's velocity filter",
-    ),
-)
 
 
 class Params(NamedTuple):

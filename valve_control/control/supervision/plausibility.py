@@ -18,7 +18,6 @@ import math
 from typing import NamedTuple
 
 from valve_control.control.supervision import lvdt
-from valve_control.control.supervision.conditions import ReportedCondition
 
 # In units of 1/√a0, the valve's own time
 BLOCK = 0.14  # readings are averaged over this
@@ -42,25 +41,6 @@ TEXTS = {
     "wrong_sign": "wrong sign",
     "unanswered": "the spool does not follow it: supply off, stuck spool or dead LVDT",
 }
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("lvdt_disagrees",),
-        "safe",
-        "LVDT readings disagree with the voltage: wrong sign; gain about …; the spool does not follow it",
-        "see [Does the reading answer the voltage?](../explanation/plausibility.md)",
-        "supply of valve and amplifier; wiring and scaling of the LVDT; polarity of the amplifier; "
-        "then `~/reset`",
-    ),
-    ReportedCondition(
-        ("lvdt_doubted",),
-        "degraded",
-        "LVDT readings were wrong; motion has not shown yet …",
-        "trial after a jump or a disagreement, with at most 1.2 times `lvdt.disturbance` as voltage",
-        "move the valve for half a second",
-    ),
-)
 
 
 class Params(NamedTuple):
