@@ -15,28 +15,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.export import compiler, kinds
+from valve_control.export import compiler
 from valve_control.export.kinds import REAL, Kind
 from valve_control.export.subset import Program, SubsetError
 from valve_control.export.terms import LIBRARY
 
 HERE = sys.modules[__name__]
 NUMBERS = [
-    0.0,
-    -0.0,
-    1.0,
-    -1.0,
-    0.5,
-    -2.5,
-    3.0,
-    7.25,
-    -7.0,
-    1e-3,
-    1e300,
-    -1e-300,
-    math.inf,
-    -math.inf,
-    math.nan,
+    *(0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.0, 7.25, -7.0, 1e-3, 1e300, -1e-300, math.inf, -math.inf, math.nan)
 ]
 
 
@@ -272,26 +258,6 @@ def test_what_is_outside_the_subset_is_named_with_file_and_line(tmp_path, code, 
         Program("test", module).translate(module.step, [REAL, REAL])
     assert reason in str(error.value) and "a_law.py:" in str(error.value)
     assert int(str(error.value).split("a_law.py:")[1].split(":")[0]) in (4, 6, 7)
-
-
-@pytest.mark.parametrize("text", ["a *\\ b", "a \\* b", "*/*/", "/*/"])
-def test_what_python_says_ends_no_comment_of_c(text):
-    """A backslash became the slash that ends or begins a comment."""
-    said = kinds.comment(text)
-    assert not any(sign in said for sign in ("*/", "/*", "\\"))
-
-
-def test_arguments_without_annotations_have_the_kinds_of_the_call(tmp_path):
-    path = tmp_path / "bare.py"
-    path.write_text(
-        "def twice(a, n):\n    return a * n\n\n\ndef step(a, b):\n    return twice(a, 2) + twice(b, 0.5)\n"
-    )
-    module = types.ModuleType("bare")
-    exec(compile(path.read_text(), path, "exec"), vars(module))
-    program = Program("bare", module)
-    program.translate(module.step, [REAL, REAL])
-    text = "\n".join(program.functions)
-    assert "bare_law_twice(double a, int64_t n)" in text and "bare_law_twice2(double a, double n)" in text
 
 
 class Kept(NamedTuple):

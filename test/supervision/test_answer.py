@@ -45,12 +45,6 @@ def test_no_reading_moves_the_spool_further_than_its_bound(law):
     assert dirty.repeated(case)[0]
 
 
-@pytest.mark.campaign
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-def test_no_sound_valve_is_stopped_and_c_has_the_bits_of_python():
-    assert dirty.main([]) == 0
-
-
 @grid("fault, law, noise", ["stuck", "supply off"], FEEDBACK, dirty.NOISES)
 def test_a_spool_without_force_gets_no_voltage_but_short_trials(fault, law, noise):
     case = dirty.Case(law, fault, noise, "start")
