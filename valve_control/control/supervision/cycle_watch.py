@@ -10,7 +10,7 @@ while; the pause before the law tries again is twice as long each time.
 
 from typing import NamedTuple
 
-from valve_control.control.supervision import conditions, lock_in, oscillation
+from valve_control.control.supervision import lock_in, oscillation
 
 BEGUN = 4.0  # cycles in a row from which they are measured
 SATURATED = 0.9  # of the limit of the voltage
@@ -84,11 +84,6 @@ def lasts(s: oscillation.State) -> bool:
     """Whether cycles at the limit of the voltage have gone on for long enough, under a calm command."""
     calm = s.turns <= 2.0 * CALM * s.cycles and s.departures <= CALM * s.cycles
     return calm and s.cycles >= STOPPED and s.maximum_time - s.since >= LEAST
-
-
-def lasting(s: oscillation.State) -> float:
-    """Time [s] for which the cycles stay reported."""
-    return max(conditions.LATCH, 2.0 * s.length)
 
 
 def paused(p: Params, s: Pause, now: float) -> Pause:

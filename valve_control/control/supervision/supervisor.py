@@ -47,7 +47,6 @@ from valve_control.control.supervision.record import (
     forget_reported,
     latch,
     report,
-    tell,
 )
 from valve_control.parameter import Values, number, word
 
@@ -271,12 +270,7 @@ class Supervisor:
     def _observe(self, m: Memory, terms: Any, voltage: float) -> None:
         """Watch a step of the law for what is only reported."""
         self._terms = terms
-        p = self._watch_law
-        m.saturated_for, said = law_watch.step(p, m.saturated_for, m.said, voltage)
-        if said is not m.said:
-            tell(m, said)
-        if abs(voltage) >= p.u_max:
-            m.counts["saturated"] += 1
+        law_watch.step(self._watch_law, m, voltage)
         if self._watched is not None:
             at, text = self._watched
             if terms[at] > terms[at + 1]:
