@@ -79,7 +79,7 @@ def test_points_that_stop_leave_the_spool_at_rest_and_then_bring_it_to_neutral()
 REFUSED = {
     "no derivatives": (
         lambda s: s.trajectory_refused(1, 0, 0),
-        "1 position, 0 velocities and 0 accelerations",
+        "1 positions, 0 velocities and 0 accelerations",
     ),
     "two joints": (lambda s: s.trajectory_refused(2, 2, 2), "2 positions, 2 velocities and 2 accelerations"),
     "nothing": (lambda s: s.trajectory_refused(0, 0, 0), "must have one of each"),

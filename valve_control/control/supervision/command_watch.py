@@ -68,16 +68,6 @@ def taken(p: Params, s: State, value: float, now: float) -> State:
     return State(saturate(value, p.limit), now + p.period, True, None, s.homing, s.origin)
 
 
-def left(s: State, now: float) -> State:
-    """State after the upper level has left at ``now`` [s]: its command counts as silent at once."""
-    return s if s.gone_since is not None else s._replace(gone_since=now)
-
-
-def limited(p: Params, s: State) -> State:
-    """State ``s`` under another limit of the command."""
-    return s if s.value is None else s._replace(value=saturate(s.value, p.limit))
-
-
 def welcomed(p: Params, s: State, reading: float, now: float) -> State:
     """State when a law takes the valve at ``reading`` [V]: the spool stays there until a command comes."""
     if s.value is None:

@@ -74,16 +74,11 @@ def step(p: Params, s: State, seen: plausibility.SeenBlock) -> State:
     if s.windows < LEARNT:
         usual = s.usual + (noise - s.usual) / (s.windows + 1.0)
         return State(0.0, 0.0, 0.0, slow, s.windows + 1.0, usual, noise, 0.0)
-    limit = allowed(s, seen.grain)
+    limit = max(FLOOR, LOUDER * max(s.usual, ROUNDING * seen.grain))
     loud = 0.0
     if noise > (CALMED * limit if s.loud >= LASTING else limit):
         loud = min(LASTING, s.loud + 1.0)
     return State(0.0, 0.0, 0.0, slow, s.windows, s.usual, noise, loud)
-
-
-def allowed(s: State, grain: float) -> float:
-    """Noise [V] from which it is reported, with a converter's step ``grain`` [V]."""
-    return max(FLOOR, LOUDER * max(s.usual, ROUNDING * grain))
 
 
 def found(p: Params, s: State) -> bool:

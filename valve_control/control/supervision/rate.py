@@ -109,11 +109,6 @@ def interrupted(s: State) -> State:
     return s._replace(time=0.0, periods=0, quick=0, passing=BURST + 1)
 
 
-def anew(s: State) -> State:
-    """State for another sample period: the means are judged by it from now on."""
-    return UNKNOWN._replace(means=s.means)
-
-
 def is_right(p: Params, s: State) -> bool:
     """Whether a voltage may be given: the period is known and within the limit, or any is right."""
     return (s.level < 2 and len(s.means) > 0) or p.limit >= ANY

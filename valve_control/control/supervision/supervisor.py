@@ -28,7 +28,6 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.plant.amplifier import saturate
 from valve_control.control.supervision import (
     bumpless_transfer,
-    command_watch,
     cycle_watch,
     law_watch,
     lock_in,
@@ -101,7 +100,7 @@ class Supervisor:
             if made.lvdt.comparison is None:
                 end_reported(m)
         if former is not None and made.lvdt.period != former.lvdt.period:
-            m.pace = rate.anew(m.pace)
+            m.pace = rate.UNKNOWN._replace(means=m.pace.means)
             clear(m, "lvdt_rate")
             clear(m, "lvdt_bursts")
         if (
@@ -118,7 +117,8 @@ class Supervisor:
             m.probe = lock_in.NOTHING
             m.former, m.kept = None, ("", None)
         m.voltage = saturate(m.voltage, self._watch_law.u_max)
-        m.command = command_watch.limited(made.command, m.command)
+        if m.command.value is not None:
+            m.command = m.command._replace(value=saturate(m.command.value, made.command.limit))
         self._use_law(values, params, None if former is None else former.law)
 
     def _use_law(self, values: Values, params: Any, former: Any) -> None:

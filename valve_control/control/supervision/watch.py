@@ -260,7 +260,8 @@ def trajectory_gone(m: Memory) -> None:
 
 def command_gone(m: Memory) -> None:
     """Count the command as silent at once: the upper level has left."""
-    m.command = command_watch.left(m.command, m.now)
+    if m.command.gone_since is None:
+        m.command = m.command._replace(gone_since=m.now)
 
 
 def follows_trajectory(p: Params, m: Memory) -> bool:
@@ -458,7 +459,7 @@ def answers(p: Params, m: Memory, reading: float, samples: int) -> bool:
         p.lvdt.judge, m.response, reading, m.judged.rate, m.voltage, samples, doubted
     )
     if wrong == "" or p.lvdt.comparison is None or not p.answered:
-        if answer.agrees(p.lvdt.judge, m.response) and not doubted:
+        if abs(m.response.pull) < answer.AGREED * p.lvdt.judge.disturbance and not doubted:
             m.proven = m.law
         return True
     report(m, "lvdt_disagrees", f"{lvdt.TEXTS['disagrees']}: {plausibility.TEXTS[wrong]}")
@@ -474,7 +475,9 @@ def has_leapt(m: Memory) -> bool:
 @node_only
 def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown) -> None:
     """Let the watches of the table look at a block, at whose end ``applied`` [V] is on; it has ``shown``."""
-    seen = plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown, m.effective)
+    command = m.effective if math.isfinite(m.effective) else 0.0
+    last, doubted = m.judged.standing, m.trust.doubt.times > 0.0
+    seen = plausibility.SeenBlock(last.second, last.grain, applied, doubted, shown, command)
     reported_of(p.watches, m, seen)
 
 
@@ -733,7 +736,8 @@ def control(p: Params, m: Memory, reading: float) -> bool:
     m.used = m.command.value
     if m.transfer.taking_over:
         _, _, first = law_step(law, m.law, wanted, reading, 0.0)
-        m.transfer = bumpless_transfer.begun(m.transfer, m.voltage - first.unsaturated_voltage)
+        offset = bumpless_transfer.Offset(m.voltage - first.unsaturated_voltage, 0.0)
+        m.transfer = m.transfer._replace(voltage=offset, taking_over=False)
         m.fading = True
     voltage, after, terms = law_step(law, m.law, wanted, reading, m.transfer.voltage.value)
     if not are_finite(voltage, terms):
