@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compensators and filters without `scipy.signal` have its bits."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -60,3 +63,15 @@ def test_k_filter():
         system = np.array([[-k1, 1.0], [-k2, 0.0]]), np.array([[0.0], [1.0]]), np.eye(2), np.zeros((2, 1))
         a, b, *_ = scipy.signal.cont2discrete(system, period)
         assert list(oarc.k_filter(k1, k2, period)) == [*a.ravel(), *b.ravel()]
+
+
+def test_a_controller_starts_without_scipy_signal():
+    """Its import takes longer than all else of the start; a law that is chosen while it runs needs none."""
+    text = (
+        "import sys; from valve_control.control.parameters import build, table; "
+        "from valve_control.parameter import defaults; values = defaults(table.CONTROLLER); "
+        "[build.law_params({**values, 'compensator.design': design}) for design in "
+        "('printed_fourth_order', 'printed_second_order', 'designed')]; "
+        "sys.exit('scipy.signal' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", text], timeout=60, check=False).returncode == 0
