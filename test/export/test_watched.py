@@ -61,7 +61,7 @@ CURVE = {
 
 
 @compiles
-@grid("law, watch", ["pid", "dcarc", "open_loop"], [[], ["--watch"]], strength=1)
+@grid("law, watch", ["pid", "dcarc"], [[], ["--watch"]], strength=1)
 def test_the_inverse_of_a_curve_behind_a_law(run, tmp_path, law, watch):
     sets = [word for name, value in CURVE.items() for word in ("--set", f"{name}={value}")]
     status, _, err = run("export", "--controller", law, *watch, *sets, "--output", "made")

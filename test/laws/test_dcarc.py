@@ -10,11 +10,9 @@ import scipy.integrate
 import scipy.linalg
 import scipy.signal
 from changed import controller
-from changed import valve as simulated
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from research import comparison
 from valve_control.control.laws import dcarc, dcarc_design, least_squares, reshaping
 from valve_control.control.laws.least_squares import Weights
 from valve_control.control.laws.signals import Start
@@ -22,7 +20,6 @@ from valve_control.control.linear import stability
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.control.plant.sensor import IDEAL
-from valve_control.control.simulation import delivery, offline
 from valve_control.parameter import ParameterError
 
 PERIOD = 0.001
@@ -337,7 +334,7 @@ def test_any_parameters_are_refused_in_words_or_give_a_bounded_voltage(data):
 
 @pytest.mark.parametrize("hertz", [300.0, 1500.0])
 def test_a_zero_beyond_the_samples_is_taken_out_of_an_identified_model(hertz):
-    """The inverse of such a zero asks for many times the voltage; without it the valve is followed."""
+    """The inverse of such a zero would ask for many times the voltage."""
     denominator, z = (1.0, 451.7, 55198.5, 2725358.0), 2.0 * math.pi * hertz
     model = TransferFunction((2295720.0 / z, 2295720.0), denominator)
     bare = dcarc.LAW.of_model(model, PERIOD)
@@ -345,15 +342,3 @@ def test_a_zero_beyond_the_samples_is_taken_out_of_an_identified_model(hertz):
     assert np.allclose(bare.numerator, [2295720.0], rtol=1e-12) and bare.denominator == denominator
     slow = TransferFunction((2295720.0 / 1400.0, 2295720.0), denominator)
     assert dcarc_design.without_fast_zero(slow, PERIOD) is slow
-    wanted = comparison.motions()["sine 10 Hz"][:1002]
-    errors = []
-    for part in (bare, model):
-        own = {"dcarc.numerator": list(part.numerator), "dcarc.denominator": list(denominator)}
-        values = controller(**{"controller": "dcarc", "dcarc.model": "custom", **own, **comparison.NO_LIMITS})
-        p = dcarc.build(values)
-        v = simulated(valve="custom", numerator=list(model.numerator), denominator=list(denominator))
-        run = offline.simulate(
-            values, v, delivery.unreshaped(p.reshaping, wanted), compiled=False, alone=True
-        )
-        errors.append(float(np.std((run.position - wanted[:-2])[300:])))
-    assert errors[0] < 0.02 and errors[1] > 5.0 * errors[0]

@@ -3,9 +3,7 @@
 """Samples at which nothing was read: time goes on, the filters see what was really applied."""
 
 import changed
-import numpy as np
 import pytest
-import scipy.linalg
 
 from valve_control.control.laws import arc, biquads, dcarc, oarc, pid
 from valve_control.control.laws.signals import Start
@@ -30,23 +28,6 @@ def test_reference_goes_on_as_if_nothing_were_lost(law):
         else:
             _, gapped, _ = module.step(p, gapped, 1.0, 0.0, 0.0)
     assert gapped.reference == whole.reference
-
-
-def test_k_filters_over_a_gap_are_the_exact_solution_of_29():
-    """n periods with the voltage held are one exact zero-order hold over n·ΔT."""
-    p = params("oarc")
-    s = oarc.initial(p, Start(0.3, 0.5, 0.3, 0.0, 0.0))
-    n, voltage = 7, 4.0
-    after = s
-    for _ in range(n):
-        after = oarc.hold(p, after, 0.3, 0.3, voltage)
-    a0 = np.array([[-p.k1, 1.0], [-p.k2, 0.0]])
-    block = np.zeros((3, 3))
-    block[:2, :2] = a0
-    block[1, 2] = 1.0
-    transition = scipy.linalg.expm(block * n * p.period)
-    exact = transition[:2, :2] @ np.array(s.v0) + transition[:2, 2] * voltage
-    assert np.allclose(after.v0, exact, rtol=1e-9)
 
 
 @pytest.mark.parametrize("law", ["arc", "oarc", "dcarc"])

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 import scipy.signal
 from changed import controller
-from hypothesis import given
-from hypothesis import strategies as st
 
 from valve_control.control.laws import dcarc, dcarc_design, magnet
 from valve_control.control.laws.signals import Start
@@ -81,21 +79,6 @@ def test_hysteresis_and_unequal_gains_are_learned():
     assert learned < 0.25 * still
     assert s.magnet.weights.direction == pytest.approx(0.1, rel=0.2)
     assert s.magnet.weights.positive == pytest.approx(1.0 / 1.15 - 1.0, rel=0.2)
-
-
-@given(st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=40), st.floats(0.001, 1.0))
-def test_the_direction_stays_between_its_ends_and_follows_a_steady_force(forces, turn):
-    p = dcarc.build(controller()).magnet._replace(on=1.0, turn=turn, lead=0.0)
-    s = magnet.State(0.0, 0.0, 0.0, 0.0, magnet.NONE, magnet.NONE, magnet.NONE)
-    for total in forces:
-        t = magnet.terms(p, s, total, total)
-        assert -1.0 <= t.direction <= 1.0
-        assert t.force.positive == max(total, 0.0)
-        s = s._replace(total=total, direction=t.direction)
-    for _ in range(60):
-        t = magnet.terms(p, s, s.total + turn, 0.0)
-        s = s._replace(total=t.total, direction=t.direction)
-    assert s.direction == pytest.approx(1.0, abs=1e-9)
 
 
 def test_the_force_is_the_voltage_behind_the_coil():

@@ -97,18 +97,6 @@ def test_the_braking_form_never_overshoots_a_step_and_keeps_its_limits(logarithm
         at = s.reference
 
 
-def test_without_cut_the_braking_form_is_8_with_its_damping():
-    """So a motion within the limits is followed alike, lag 2·ξ_n/ω_n included."""
-    p = braking(PERIOD, damping=1.2, max_rate=1e5, max_accel=1e7)
-    s = t = reshaping.State(0.0, 0.0)
-    plain = p._replace(braking=0.0)
-    for k in range(400):
-        command = math.sin(0.05 * k)
-        s = reshaping.advance(p, s, reshaping.acceleration(p, s, command))
-        t = reshaping.advance(plain, t, reshaping.acceleration(plain, t, command))
-        assert s == t
-
-
 @given(st.floats(5.0, 200.0), st.floats(-11000.0, 11000.0), st.floats(100.0, 900.0))
 def test_a_command_that_is_known_ahead_gives_its_own_acceleration(rate, accel, frequency):
     """`command_of` and `steady_command` invert the braking form as they do the paper's."""

@@ -94,19 +94,6 @@ def test_hum_of_the_mains_is_named(config, law, shipped, frequency):
     assert loop.supervisor.counts["safe_stops"] == 0
 
 
-def test_a_pause_after_cycles_ends_with_reset(config):
-    loop = Loop.shipped(config, "pid", "d3fxe")
-    while "limit_cycle" not in loop.supervisor.conditions:
-        loop.run(1, sine(1.0, 1.5), late=10)
-        assert len(loop.voltages) < 5000
-    assert set(loop.run(290, sine(1.0, 1.5)).voltages[-289:]) == {0.0}
-    loop.run(400, sine(1.0, 1.5))
-    assert "limit_cycle" not in loop.supervisor.conditions
-    loop.supervisor.memory.pause = cycle_watch.Pause(9.0, math.inf)
-    loop.supervisor.reset()
-    assert loop.supervisor.memory.pause == cycle_watch.NEVER
-
-
 @given(
     st.floats(20.0, 120.0),
     st.floats(-0.03, 0.03),

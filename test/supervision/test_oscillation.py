@@ -133,25 +133,3 @@ def test_a_staircase_of_a_slower_upper_level_is_no_limit_cycle():
     kick = np.tile(np.concatenate([np.full(3, 3.0), np.full(17, -0.3)]), 300)
     assert found(command + kick, command) is None
     assert found(command + kick, 8.0 * T / 6.0) is not None
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_safe_stops_in_motion_are_no_limit_cycle(seed):
-    """A voltage that is switched off and on again, while the LVDT is silent now and then, swings too."""
-    values = updated(CONTROLLER, defaults(CONTROLLER), {"controller": "open_loop"})
-    supervisor = Supervisor()
-    supervisor.apply(values, build.law_params(values))
-    random = np.random.default_rng(seed)
-    position, gap, seen = 0.0, 800, set()
-    for k in range(9000):
-        supervisor.command(2.0 * math.sin(2.0 * math.pi * 1.5 * k * PERIOD))
-        position += (0.83 * supervisor.voltage - position) * 0.03
-        if gap <= k < gap + 50:
-            if k == gap + 40:
-                supervisor.silence(0.04)
-            continue
-        if k == gap + 50:
-            gap = k + int(random.integers(60, 400))
-        supervisor.sample(position + random.normal(0.0, 0.005), k)
-        seen |= set(supervisor.conditions)
-    assert "lvdt_silent" in seen and "oscillation" not in seen

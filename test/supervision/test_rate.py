@@ -140,18 +140,6 @@ def test_standstills_and_their_bursts_are_no_period(pause, apart):
     assert made.counts["safe_stops"] == (12 if pause > 0.0215 else 0)
 
 
-def test_control_returns_after_two_right_windows_and_one_sentence_tells_the_rate():
-    made = supervisor(controller="arc")
-    number = feed(made, 2.0, PERIOD)
-    slow = run_as_a_node(made, np.full(540, 1.3 * PERIOD))
-    assert made.mode is Mode.SAFE
-    back = run_as_a_node(made, np.full(400, PERIOD))
-    right = next(k for k, reason in enumerate(back) if "controlling" in reason)
-    assert right * PERIOD <= 0.34  # the mixed window, two right ones, and the sound readings; 0.44 s before
-    assert all(reason.count("come every") <= 1 for reason in slow + back)
-    assert number == 2000
-
-
 @pytest.mark.parametrize("factor", [0.2, 0.5, 0.8, 1.2, 2.0, 10.0])
 def test_a_wrong_period_is_known_before_a_first_voltage(factor):
     """And a right one after twenty readings, the first of which came at any time."""

@@ -23,7 +23,6 @@ from valve_control.control.parameters.table import COMMAND, CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.simulation import offline
 from valve_control.control.supervision import bumpless_transfer
-from valve_control.control.supervision.cache_warming import CacheWarming
 from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import ParameterError, defaults, lookup, updated
@@ -375,27 +374,6 @@ def test_silent_command_leads_back_to_neutral_and_out_again_without_a_bump(law):
     assert loop.largest_step(begin) <= 1.5 * usual
 
 
-@pytest.mark.parametrize("law", ["arc", "oarc", "pid"])
-def test_a_stuck_spool_is_switched_off_and_winds_nothing_up(law):
-    """Its voltage is 0 V but for short trials, and the estimates are those of the valve that moved."""
-    loop = Loop(law, lvdt__frozen_samples=0).run(300)
-    stuck = loop.s.x.x0
-    usual = loop.largest_step(0)
-    theta = loop.supervisor.theta
-    for _ in range(600):
-        loop.step(lambda reading: stuck)
-        loop.s = loop.s._replace(x=loop.s.x._replace(x0=stuck, x1=0.0))
-    assert loop.supervisor.mode is Mode.SAFE and "lvdt_disagrees" in loop.supervisor.conditions
-    assert np.mean(np.abs(loop.voltages[-500:])) < 1.0
-    if theta is not None:
-        p = build.law_params(loop.values)
-        room = np.subtract(p.theta_max, p.theta_min)
-        assert np.all(np.abs(np.subtract(loop.supervisor.theta, theta)) < 0.05 * room)
-    loop.run(2500)
-    assert loop.supervisor.mode is Mode.OK
-    assert loop.largest_step(len(loop.voltages) - 500) <= 1.5 * usual
-
-
 def test_law_that_leaves_the_finite_numbers_is_switched_off_and_begins_anew():
     loop = Loop("arc").run(100)
     loop.supervisor.memory.law = loop.supervisor.memory.law._replace(reference=reshaping.State(1e308, 1e308))
@@ -538,30 +516,6 @@ def test_voltage_is_given_once_and_is_the_one_returned(law, readings, lost):
         assert voltage == plain.sample(reading, number, PERIOD)
     assert giving.telemetry() == pytest.approx(plain.telemetry(), nan_ok=True, abs=0.0)
     assert giving.conditions == plain.conditions and giving.counts == plain.counts
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_cache_warming_leaves_no_trace(law):
-    """The voltages with cache warming before each reading are those without, through a fault too."""
-
-    def voltages(warmed):
-        loop = Loop(law)
-        warming = CacheWarming()
-        warming.apply(loop.values, build.law_params(loop.values))
-        found = []
-        for k in range(600):
-            loop.supervisor.command(loop.command())
-            if warmed:
-                warming.warm(loop.supervisor)
-            reading = math.nan if 200 <= k < 240 else loop.reading()
-            found.append(loop.supervisor.sample(reading, k + 1, PERIOD))
-            loop.s = valve.step(loop.p, loop.s, found[-1])
-            loop.k += 1
-        return found
-
-    with_warming = voltages(True)
-    assert with_warming == voltages(False)
-    assert 0.0 in with_warming[220:] and any(with_warming[-50:])
 
 
 class Unbounded(NamedTuple):
