@@ -8,6 +8,7 @@ QUALITY_DECLARATION.md.
 
 import importlib.util
 import json
+import re
 from pathlib import Path
 
 from valve_control.axis.tables import ROS_NODES
@@ -27,20 +28,26 @@ def _options(parser):
     return sorted(option for action in parser._actions for option in action.option_strings)
 
 
+def _conditions():
+    """Names in the first column of the table in docs/reference/modes.md."""
+    table = (ROOT / "docs" / "reference" / "modes.md").read_text(encoding="utf-8").split("| condition |")[1]
+    cells = (row.split(" | ")[0] for row in table.splitlines() if row.startswith("| `"))
+    return sorted({name for cell in cells for name in re.findall(r"`(\w+)`", cell)})
+
+
 def interface():
     """Parameters with their types, topics and services, conditions, command line, entry point groups."""
     from valve_control.cli import command
     from valve_control.control.drivers import registry as drivers
     from valve_control.control.laws import registry as laws
     from valve_control.control.plant import registry as plants
-    from valve_control.control.supervision import watch_table
 
     return {
         "parameters": {node: {p.name: p.type_name for p in table} for node, table in ROS_NODES.items()},
         "topics and services": sorted(
             f"{e.node} {e.kind} {e.name} {e.type_name}" for e in _generate().entities()
         ),
-        "conditions": sorted({name for one in watch_table.conditions() for name in one.names}),
+        "conditions": _conditions(),
         "command line": {name: _options(p) for name, p in command.Commands().parsers.items()},
         "entry point groups": [laws.GROUP, plants.GROUP, drivers.GROUP],
     }

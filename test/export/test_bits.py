@@ -28,25 +28,6 @@ def test_the_c_equals_the_plain_python_and_has_no_undefined_behaviour(tmp_path, 
         assert same_bits(found, voltages) and same_bits(found_ends, ends), program
 
 
-@pytest.mark.campaign
-@pytest.mark.parametrize("name", LAWS)
-def test_a_thousand_sets_of_parameters_give_the_same_bits(tmp_path, name):
-    """10,000 samples each, against the compiled Python, which equals the plain one on some of them."""
-    law = LAWS[name]
-    random = np.random.default_rng(11)
-    sets = [random_params(law, random) for _ in range(1000)]
-    given = case(10_000, 1000, seed=5)
-    voltages, ends = in_python(law, sets, given, compiled=True)
-    assert finite_share(voltages) > 0.99
-    plain, plain_ends = in_python(law, sets[:20], case(2000, 1000, seed=6), compiled=False)
-    for compiler in COMPILERS:
-        program = build(law, tmp_path, compiler)
-        found, found_ends = in_c(law, program, sets, given)
-        assert same_bits(found, voltages) and same_bits(found_ends, ends)
-        found, found_ends = in_c(law, program, sets[:20], case(2000, 1000, seed=6))
-        assert same_bits(found, plain) and same_bits(found_ends, plain_ends)
-
-
 def test_dcarc_with_a_coil_in_its_model_has_the_same_bits(tmp_path):
     """Third order without zeros, and the sixth order with three."""
     law = LAWS["dcarc"]

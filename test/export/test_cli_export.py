@@ -12,12 +12,10 @@ import subprocess
 import pytest
 from c_library import Library
 
-from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear.linear_loop import flatten
-from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.export import settable, sources, unit
-from valve_control.export.unit import leaves
-from valve_control.parameter import defaults, updated
+from valve_control.parameter import defaults
 
 compiles = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 GAINS = """/controller:
@@ -106,29 +104,6 @@ def test_what_cannot_be_done_is_one_sentence_and_nothing_is_written(
     status, out, err = run("export", *words)
     assert status == 2 and out == "" and reason in err and err.count("\n") == 1
     assert os.listdir(tmp_path) == ["there"]
-
-
-@pytest.mark.parametrize("name", [*LAWS, "fourth_order", "solenoid"])
-def test_a_setter_does_what_a_new_export_would(name):
-    """For each parameter that can be set: its number in Params, and no other, is the value that is given."""
-    chosen = (
-        unit.plant(updated(VALVE, defaults(VALVE), {"valve": name}))
-        if name not in LAWS
-        else unit.law(updated(CONTROLLER, defaults(CONTROLLER), {"controller": name}))
-    )
-    found = settable.find(chosen)
-    assert "sample_period" in found.others
-    assert "u_max" in {setter.parameter.name for setter in found.setters}
-    before = dict(leaves(chosen.params))
-    for setter in found.setters:
-        p = setter.parameter
-        value = 0.3 * p.low + 0.7 * min(p.high, p.low + 3.0)
-        whole = value
-        if setter.entry is not None:
-            whole = list(chosen.values[p.name])
-            whole[setter.entry] = value
-        after = dict(leaves(chosen.build({**chosen.values, p.name: whole})))
-        assert after == {**before, setter.path: value}, p.name
 
 
 @compiles

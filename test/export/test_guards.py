@@ -44,20 +44,6 @@ def test_unsafe_mathematics_and_other_numbers_are_refused(compiled, compiler):
         assert done.returncode != 0 and any(word in line for line in said), (flag, done.stderr)
 
 
-@pytest.mark.skipif(shutil.which("clang") is None, reason="clang is not here: apt install clang")
-def test_a_program_for_a_target_whose_double_has_32_bit_is_refused(run, tmp_path):
-    """Of AVR, in a program that includes the header; the export in float is for such targets."""
-    for kind in ([], ["--float"]):
-        name = "single" if kind else "double"
-        assert run("export", "--controller", "pid", *kind, "--output", name)[0] == 0
-        command = ["clang", "--target=avr", "-ffreestanding", "-fsyntax-only", "-x", "c"]
-        done = subprocess.run(
-            [*command, tmp_path / name / "pid.h"], capture_output=True, text=True, check=False
-        )
-        assert ("IEEE 754: export with --float" in done.stderr) == (not kind), done.stderr
-        assert (done.returncode == 0) == bool(kind), done.stderr
-
-
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler")
 @pytest.mark.parametrize("options", [("--controller", "pid", "--watch"), ("--plant", "valve")])
 def test_it_compiles_as_cpp(compiled, options):

@@ -7,13 +7,11 @@ import shutil
 import subprocess
 
 import changed
-import numpy as np
 import pytest
-from driven import COMPILERS, SANITIZERS
+from driven import SANITIZERS
 from grids import grid
 
-from valve_control.control.laws.registry import LAWS
-from valve_control.export import folder, samples, sources, unit
+from valve_control.export import folder, sources, unit
 
 SANITIZED = f"CFLAGS={sources.FLAGS} {folder.WARNINGS} {' '.join(SANITIZERS)}"
 compiles = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -63,7 +61,7 @@ CURVE = {
 
 
 @compiles
-@grid("law, watch", ["pid", "dcarc", "open_loop"], [[], ["--watch"]], strength=1)
+@grid("law, watch", ["pid", "dcarc"], [[], ["--watch"]], strength=1)
 def test_the_inverse_of_a_curve_behind_a_law(run, tmp_path, law, watch):
     sets = [word for name, value in CURVE.items() for word in ("--set", f"{name}={value}")]
     status, _, err = run("export", "--controller", law, *watch, *sets, "--output", "made")
@@ -92,41 +90,3 @@ def test_what_the_watch_cannot_be_part_of_is_refused(run, tmp_path, words, reaso
     status, out, err = run("export", "--watch", *words, "--output", "made")
     assert status == 2 and out == "" and reason in err and err.count("\n") == 1
     assert not any(tmp_path.iterdir())
-
-
-@pytest.mark.campaign
-@pytest.mark.skipif(not COMPILERS, reason="no C compiler")
-@pytest.mark.parametrize("name", LAWS)
-def test_random_faults_under_other_parameters_in_c(tmp_path, name):
-    """Every condition of the watch, with the lead of the command, other limits, gaps and time-outs."""
-    random = np.random.default_rng(3)
-    kinds = sorted({fault.what for fault in samples.FAULTS})
-    for seed in range(2):
-        chosen = watched(
-            controller=name,
-            reshaping__lead=0.004 * seed,
-            lvdt__hold_samples=int(random.integers(0, 30)),
-            lvdt__recovery_samples=int(random.integers(1, 50)),
-            lvdt__hold_off=0.1,
-            command_timeout=0.2,
-            command_limit=5.0,
-            command__lag=0.002 * seed,
-        )
-        faults = [
-            samples.Fault(float(random.uniform(0.02, 7.0)), int(10 ** random.uniform(0.0, 2.3)), str(what))
-            for what in random.choice(kinds, 15)
-        ]
-        made = sources.make(chosen)
-        rows = list(samples.under_watch(chosen, made.words, 8000, seed, faults))
-        place = tmp_path / str(seed)
-        place.mkdir()
-        (place / f"{name}.h").write_text(made.header)
-        (place / f"{name}.c").write_text(made.source)
-        (place / "check.c").write_text(folder.check(chosen, made, 0.0, False))
-        (place / "Makefile").write_text(folder.makefile(name))
-        (place / "check.csv").write_text(samples.as_csv(rows))
-        for compiler in COMPILERS:
-            done = check(place, f"CC={compiler}")
-            assert done.returncode == 0 and f"{len(rows)} rows equal" in done.stdout, (
-                done.stdout + done.stderr
-            )

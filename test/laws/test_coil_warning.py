@@ -15,7 +15,7 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
-from valve_control.parameter import defaults, updated
+from valve_control.parameter import updated
 
 
 def known(name, law, **changes):
@@ -38,13 +38,3 @@ def test_the_warning_has_the_pole_of_the_loop_with_the_coil(name, law):
     rate = abs(np.angle(pole)) / params.period
     assert frequency == pytest.approx(rate / (2.0 * math.pi), rel=0.01)
     assert stability.warning(LAWS[law], params) == ""  # on its own model all is well
-
-
-def test_where_nothing_is_known_of_a_coil_nothing_is_said():
-    values = defaults(CONTROLLER)
-    for law in ("arc", "oarc", "pid", "open_loop", "dcarc"):
-        assert stability.coil_warning(LAWS[law], LAWS[law].build(values), values) == ""
-    slow = known("C", "oarc")
-    assert stability.coil_warning(LAWS["oarc"], LAWS["oarc"].build(slow), slow) == ""
-    own = known("B", "dcarc")
-    assert stability.coil_warning(LAWS["dcarc"], LAWS["dcarc"].build(own), own) == ""

@@ -2,12 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples at which nothing was read: time goes on, the filters see what was really applied."""
 
-import math
-
 import changed
-import numpy as np
 import pytest
-import scipy.linalg
 
 from valve_control.control.laws import arc, biquads, dcarc, oarc, pid
 from valve_control.control.laws.signals import Start
@@ -32,55 +28,6 @@ def test_reference_goes_on_as_if_nothing_were_lost(law):
         else:
             _, gapped, _ = module.step(p, gapped, 1.0, 0.0, 0.0)
     assert gapped.reference == whole.reference
-
-
-def test_velocity_of_a_ramp_survives_a_gap():
-    """Readings on a straight line between the neighbours: the difference quotient is that of the ramp."""
-    p = params("arc")
-    s = arc.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
-    for k in range(1, 200):
-        s = arc.hold(p, s, 0.0, 0.008 * k, 1.0)
-    assert s.velocity.velocity == pytest.approx(8.0, rel=1e-9)
-
-
-def test_k_filters_over_a_gap_are_the_exact_solution_of_29():
-    """n periods with the voltage held are one exact zero-order hold over n·ΔT."""
-    p = params("oarc")
-    s = oarc.initial(p, Start(0.3, 0.5, 0.3, 0.0, 0.0))
-    n, voltage = 7, 4.0
-    after = s
-    for _ in range(n):
-        after = oarc.hold(p, after, 0.3, 0.3, voltage)
-    a0 = np.array([[-p.k1, 1.0], [-p.k2, 0.0]])
-    block = np.zeros((3, 3))
-    block[:2, :2] = a0
-    block[1, 2] = 1.0
-    transition = scipy.linalg.expm(block * n * p.period)
-    exact = transition[:2, :2] @ np.array(s.v0) + transition[:2, 2] * voltage
-    assert np.allclose(after.v0, exact, rtol=1e-9)
-
-
-def test_integral_counts_the_time_of_a_gap():
-    p = params("pid", pid__ki=70.0)
-    s = pid.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
-    for _ in range(10):
-        s = pid.hold(p, s, 0.0, 0.25, 1.0)
-    assert s.integral == pytest.approx(70.0 * 0.25 * 10 * p.period)
-    full = pid.hold(p, s, 0.0, 0.25, p.u_max)
-    assert full.integral == s.integral
-
-
-def test_compensator_takes_in_the_commands_of_a_gap():
-    p = params("compensator")
-    whole = gapped = biquads.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
-    for k in range(30):
-        command = math.sin(0.1 * k)
-        _, whole, _ = biquads.step(p, whole, command, 0.0, 0.0)
-        if k % 5:
-            gapped = biquads.hold(p, gapped, command, 0.0, 0.0)
-        else:
-            _, gapped, _ = biquads.step(p, gapped, command, 0.0, 0.0)
-    assert gapped == whole
 
 
 @pytest.mark.parametrize("law", ["arc", "oarc", "dcarc"])

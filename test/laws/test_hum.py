@@ -7,13 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from research import coil, comparison
-from valve_control.control.analysis.indices import rms
+from research import coil
 from valve_control.control.laws import dcarc, dcarc_design
 from valve_control.control.laws.signals import Start
-from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models
-from valve_control.control.simulation import delivery, offline
 from valve_control.parameter import updated
 
 PERIOD = 0.001
@@ -57,20 +55,3 @@ def test_a_hum_alone_leaves_the_voltage(name, hum):
 
     with_it, without = swing(hum), swing(0.0)
     assert without > 0.05 and with_it < 1e-3 * without
-
-
-@pytest.mark.parametrize(("hum", "most"), [(0.005, 0.7), (0.02, 0.35)])
-def test_a_hum_leaves_the_motion_of_a_solenoid_valve(hum, most):
-    """10 Hz on valve A, with a mains that is 0.1 Hz off."""
-
-    def found(notch, amplitude):
-        values, valve = controller("A", notch), coil.plant(coil.VALVES["A"])
-        valve = updated(VALVE, valve, {"solenoid.hum": amplitude, "solenoid.hum_frequency": 50.1})
-        wanted = comparison.motions()["sine 10 Hz"][:2502]
-        sent = delivery.unreshaped(dcarc.build(values).reshaping, wanted)
-        run = offline.simulate(values, valve, sent, alone=True)
-        return rms((run.position - wanted[:-2])[1000:]), run.indices.c_u
-
-    (plain, restless), (error, chatter), (quiet, _) = found(0.0, hum), found(50.0, hum), found(0.0, 0.0)
-    assert error < most * plain and chatter < restless
-    assert found(50.0, 0.0)[0] < 1.1 * quiet

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The inverse of the static curve: alone, around every law, offline, in batches and under the supervisor."""
 
-import math
-
 import numpy as np
 import pytest
 from changed import controller, valve
@@ -18,7 +16,6 @@ from valve_control.control.parameters import build
 from valve_control.control.plant import valve as linear
 from valve_control.control.simulation import batch, offline
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.parameter import ParameterError
 
 TIME = 0.001 * np.arange(1500)
 SINE = 2.0 * np.sin(2.0 * np.pi * 3.0 * TIME)
@@ -58,15 +55,6 @@ def test_the_inverse_undoes_the_curve_and_is_the_interpolation(made, voltage, ga
     at, position = values["linearisation.voltage"], values["linearisation.position"]
     if at[0] <= voltage <= at[-1]:
         assert gain * seen == pytest.approx(np.interp(voltage, at, position), abs=1e-9)
-
-
-@given(rising())
-def test_the_inverse_is_continuous_and_rises(made):
-    values = controller(**table(made))
-    inverse = linearisation.inverse(values)
-    for x in values["linearisation.position"]:
-        below, here, above = (linearisation.value(inverse, x + d) for d in (-1e-9, 0.0, 1e-9))
-        assert below < here < above and above - below < 2.1e-9 / 0.02
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -115,7 +103,7 @@ def test_the_limit_is_what_the_amplifier_can_give_on_both_sides():
     assert np.min(run.voltage) == pytest.approx(-10.0) and np.max(run.voltage) < 8.7 and run.saturated > 0.1
 
 
-@grid("law, plant", ["pid", "dcarc", "open_loop"], ["fourth_order", "solenoid"], strength=1)
+@grid("law, plant", ["pid", "dcarc"], ["fourth_order", "solenoid"], strength=1)
 def test_plain_python_compiled_loop_batch_and_supervisor_have_the_same_bits(law, plant):
     c, v = controller(controller=law, **LOPSIDED), valve(valve=plant, lvdt__noise=0.003, seed=5)
     run = offline.simulate(c, v, SINE)
@@ -155,38 +143,3 @@ def test_a_new_curve_while_running_takes_over_without_a_bump(law, after):
     supervisor.apply(changed, build.law_params(changed))
     assert supervisor.voltage == pytest.approx(before, abs=1e-12)
     assert supervisor.sample(float(reading), k + 1) == pytest.approx(before, abs=1e-9)
-
-
-def test_no_voltage_is_none_even_where_the_curve_has_a_null():
-    null = [u + 0.4 for u in (-10.0, 10.0)]
-    supervisor, values, _, k = running("pid", linearisation__enabled=True, linearisation__voltage=null)
-    for i in range(values["lvdt.hold_samples"] + 1):
-        supervisor.sample(math.nan, k + 1 + i)
-    assert supervisor.mode.name == "SAFE" and supervisor.voltage == 0.0
-    assert supervisor.sample(0.0, k + 100) == 0.0
-
-
-BAD = {
-    "linearisation.voltage has 3 points and linearisation.position 2; they must have as many": {
-        "linearisation__voltage": [-10.0, 0.0, 10.0]
-    },
-    "linearisation.voltage[1] is -10 V; it must be above linearisation.voltage[0], 10 V": {
-        "linearisation__voltage": [10.0, -10.0]
-    },
-    "the curve of linearisation.position rises by 0.0001 V/V behind point 1; it must be between 0.001 and "
-    "1000 V/V, since linearisation.gain is 1": {
-        "linearisation__voltage": [-10.0, 0.0, 1.0],
-        "linearisation__position": [-10.0, 1.0, 1.0001],
-    },
-    "the curve of linearisation.position does not pass 0 V between -10 and 10 V, the limits u_max of the "
-    "amplifier": {"linearisation__position": [1.0, 10.0]},
-}
-
-
-@pytest.mark.parametrize("said", BAD)
-def test_a_curve_that_cannot_be_inverted_is_refused_once_it_is_used(said):
-    unused = controller(**BAD[said])
-    build.law_params(unused)
-    with pytest.raises(ParameterError) as refused:
-        build.law_params({**unused, "linearisation.enabled": True})
-    assert str(refused.value) == said

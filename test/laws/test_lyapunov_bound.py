@@ -40,12 +40,6 @@ def test_bound_solves_its_differential_equation(rate, period, start, growth):
     assert got == pytest.approx(numeric, rel=1e-5, abs=1e-5)
 
 
-def test_bound_begins_anew_where_another_voltage_was_applied():
-    p = lyapunov_bound.design(240.0, 0.001)
-    assert lyapunov_bound.begin(lyapunov_bound.advance(p, 5.0, 1.0, False), 7.0) == 7.0
-    assert lyapunov_bound.begin(3.0, 7.0) == 3.0
-
-
 def test_v2_is_never_below_zero_and_its_bound_neither():
     """z1 = 1 V falls by ż1 = -1000 V/s: (5) takes more than there is of a bound that was small."""
     p = lyapunov_bound.design(240.0, 0.001)
@@ -112,11 +106,6 @@ def test_v2_of_oarc_stays_below_its_bound_at_1_ms_too(simulate):
     for _ in range(15):
         truth = rng.uniform(NOMINAL - span, NOMINAL + span)
         assert ratios(simulate, "oarc", "none", truth, period=1e-3) < 1.0
-
-
-@pytest.mark.parametrize("outside", [{"offset": 3.0}, {"gain": 0.5}], ids=["disturbance", "gain"])
-def test_v2_of_oarc_leaves_its_bound_outside_the_ranges_at_1_ms_too(simulate, outside):
-    assert ratios(simulate, "oarc", "none", NOMINAL, **outside, period=1e-3) > 1.0
 
 
 @pytest.mark.parametrize(("law", "robust"), BOUNDS)

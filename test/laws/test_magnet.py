@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 import scipy.signal
 from changed import controller
-from hypothesis import given
-from hypothesis import strategies as st
 
-from valve_control.control.laws import command_lead, dcarc, dcarc_design, magnet, reshaping
+from valve_control.control.laws import dcarc, dcarc_design, magnet
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import stability
 from valve_control.control.simulation import delivery
@@ -73,20 +71,6 @@ def test_a_disturbance_behind_the_coil_moves_the_model_like_a_force_on_the_spool
     assert np.allclose(found, expected, atol=1e-9)
 
 
-def test_friction_is_compensated_through_the_coil():
-    """A known bristle, led by the coil, against the same at the voltage, and against none."""
-    known = {
-        "dcarc.presliding": [0.008, 0.02, 0.05],
-        "dcarc.theta_initial": [0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        "dcarc.lvdt_noise": 0.0005,
-        "dcarc.lvdt_resolution": 0.0,
-        **ALONE,
-    }
-    none = {**known, "dcarc.theta_initial": [0.0] * 9}
-    errors = [error(law(**one), coulomb=0.8)[0] for one in ({**known, "dcarc.coil": COIL}, known, none)]
-    assert errors[0] < 0.75 * errors[1] and errors[1] < 0.25 * errors[2]
-
-
 def test_hysteresis_and_unequal_gains_are_learned():
     """Twice the half width and 1.15 times the gain of one side: both weights find them, the error falls."""
     magnets = {"dcarc.coil": COIL, "dcarc.hysteresis": 0.05, "dcarc.sides": 0.1, **LEARNS, **ALONE}
@@ -95,21 +79,6 @@ def test_hysteresis_and_unequal_gains_are_learned():
     assert learned < 0.25 * still
     assert s.magnet.weights.direction == pytest.approx(0.1, rel=0.2)
     assert s.magnet.weights.positive == pytest.approx(1.0 / 1.15 - 1.0, rel=0.2)
-
-
-@given(st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=40), st.floats(0.001, 1.0))
-def test_the_direction_stays_between_its_ends_and_follows_a_steady_force(forces, turn):
-    p = dcarc.build(controller()).magnet._replace(on=1.0, turn=turn, lead=0.0)
-    s = magnet.State(0.0, 0.0, 0.0, 0.0, magnet.NONE, magnet.NONE, magnet.NONE)
-    for total in forces:
-        t = magnet.terms(p, s, total, total)
-        assert -1.0 <= t.direction <= 1.0
-        assert t.force.positive == max(total, 0.0)
-        s = s._replace(total=total, direction=t.direction)
-    for _ in range(60):
-        t = magnet.terms(p, s, s.total + turn, 0.0)
-        s = s._replace(total=t.total, direction=t.direction)
-    assert s.direction == pytest.approx(1.0, abs=1e-9)
 
 
 def test_the_force_is_the_voltage_behind_the_coil():
@@ -173,20 +142,3 @@ def test_the_loop_with_a_dead_time_has_the_poles_of_filter_and_regulator(delay):
     ]
     assert poles[0] == pytest.approx(poles[1], abs=1e-5)
     assert stability.warning(dcarc.LAW, p) == ""
-
-
-def test_the_lead_that_the_docs_name_leaves_no_lag_behind_a_ramp():
-    """2·ξ_n/ω_n + 1/g + τ_a: the reference is where the command will be when the voltage acts."""
-    delay, rate = 0.0013, 5.0
-    changes = {**MODEL, **WIDE, **ALONE, "dcarc.actuator_delay": delay}
-    p = dcarc.build(controller(**changes))
-    lead = dcarc.lag(controller(**changes))
-    assert lead == pytest.approx(
-        reshaping.lag(controller(**changes)) + 1.0 / p.reshaping.smoothing + delay, rel=1e-12
-    )
-    ramp = np.arange(400) * PERIOD * rate
-    led = command_lead.applied(command_lead.build(controller(**changes, reshaping__lead=lead), True), ramp)
-    s = dcarc.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
-    for command in led:
-        _, s, terms = dcarc.step(p, s, float(command), 0.0, 0.0)
-    assert terms.reference == pytest.approx(ramp[-1] + rate * delay, abs=1e-6)

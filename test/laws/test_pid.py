@@ -1,6 +1,5 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-import math
 
 import numpy as np
 import pytest
@@ -14,12 +13,6 @@ from valve_control.parameter import defaults, updated
 def params(**changes):
     values = {"pid." + k: v for k, v in changes.items()}
     return pid.build(updated(CONTROLLER, defaults(CONTROLLER), values))
-
-
-def test_pole_placement_gives_the_published_gains():
-    kp, ki, kd = pid.place_poles(7.0, 20.0, 1200.0, 1200.0)
-    assert (round(ki, 3), round(kd, 3)) == (70.901, 0.093)
-    assert math.isclose(kp, 3.837, abs_tol=1e-3)  # 3.8361: the print's last digit is off by one
 
 
 @pytest.mark.parametrize(("form", "own"), [("reference", 1.0), ("paper", 0.0)])

@@ -33,16 +33,6 @@ def test_p1_estimates_stay_in_their_bounds(fractions, tau, gamma, period):
     assert all(lo <= v <= hi for lo, v, hi in zip(LOWER, after, UPPER, strict=True))
 
 
-@given(shares, shares, four, positive)
-def test_p2_projection_never_spoils_the_lyapunov_function(estimate, truth, tau, gamma):
-    theta = np.array(inside(estimate))
-    error = theta - np.array(inside(truth))
-    rate = np.array(projection.rates(Theta(*theta), Theta(*gamma), Theta(*tau), LOWER, UPPER))
-    # Where a bound stops the estimate, the term is -error_i*tau_i <= 0; elsewhere only rounding is left.
-    terms = error * (rate / np.array(gamma) - np.array(tau))
-    assert np.sum(terms) <= 1e-9 * np.sum(np.abs(error * np.array(tau)))
-
-
 @given(four, shares, shares)
 def test_uncertainty_bounds_the_parametric_error_and_is_no_larger_than_the_norms(phi, estimate, truth):
     span = np.array(UPPER) - np.array(LOWER)

@@ -85,7 +85,7 @@ def test_the_controller_follows_refuses_and_tells(ros, tmp_path, law):
         trajectory.publish(point(math.nan, 0.0, 0.0, seconds=1.1))
         time.sleep(0.05)
         bench.sample(0.0)
-        told("1 position, 0 velocities and 0 accelerations refused")
+        told("1 positions, 0 velocities and 0 accelerations refused")
         wait_for_command(0.05)
         for k in range(1100):
             trajectory.publish(point(0.05, 0.0, 0.0, seconds=2.0 + 0.001 * k))

@@ -40,14 +40,3 @@ def test_table_1_is_reproduced(made):
     assert {index for index, kept in table["orders_kept"].items() if not kept} <= {"u_rms"}
     assert table["pid"]["indices"]["u_rms"] == pytest.approx(table["oarc"]["indices"]["u_rms"], rel=0.01)
     assert table["arc"]["indices"]["u_rms"] > table["pid"]["indices"]["u_rms"]
-
-
-def test_every_figure_as_png_svg_and_in_one_page(made):
-    folder, said = made
-    page = (folder / "index.html").read_text()
-    for number in (1, 3, 4, 5, 6, 7):
-        assert (folder / f"figure{number}.png").read_bytes().startswith(b"\x89PNG")
-        assert "<svg" in (folder / f"figure{number}.svg").read_text()
-        assert f"Fig. {number}:" in page and f"figure{number}.svg" in page
-    assert "Table 1" in page and "rms log error" in page
-    assert f"wrote {folder / 'index.html'}" in said

@@ -97,14 +97,3 @@ def motion_of(time, shape=sine):
     h = 1e-4
     before, here, after = (shape(max(0.0, t)) for t in (time - h, time, time + h))
     return Motion(here, (after - before) / (2.0 * h), (after - 2.0 * here + before) / (h * h))
-
-
-def lag(made, frequency=3.0):
-    """Seconds by which the command that the law got is behind the one that is wanted."""
-    cycle = round(1.0 / frequency / PERIOD)
-    cycles = (len(made.command) - SETTLED) // cycle
-    part = slice(len(made.command) - cycles * cycle, None)
-    t = np.arange(len(made.command))[part] * PERIOD
-    turning = np.exp(-2j * math.pi * frequency * t)
-    phase = np.angle(np.sum(made.wanted[part] * turning) / np.sum(made.command[part] * turning))
-    return float(phase) / (2.0 * math.pi * frequency)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A spool that does not answer the voltage: dead LVDT with noise, stuck spool, supply off."""
 
-import math
 import shutil
 
 import numpy as np
@@ -10,11 +9,8 @@ import pytest
 from grids import grid
 
 from research.campaigns import dirty
-from valve_control.control.parameters import build
-from valve_control.control.plant import valve
 from valve_control.control.supervision import answer, lvdt
 from valve_control.control.supervision.record import Mode
-from valve_control.control.supervision.supervisor import Supervisor
 
 FEEDBACK = ("arc", "oarc", "dcarc", "pid", *dirty.TUNED)
 SOME = ("oarc", "d3fxe_experiment_dcarc")  # in each run of the tests, the others in the campaign
@@ -43,12 +39,6 @@ def test_no_reading_moves_the_spool_further_than_its_bound(law):
             if case.motion != "rest" or bound < DISTURBANCE:
                 assert row.reaction < STANDING and row.standing < STANDING, (case, row)
     assert dirty.repeated(case)[0]
-
-
-@pytest.mark.campaign
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-def test_no_sound_valve_is_stopped_and_c_has_the_bits_of_python():
-    assert dirty.main([]) == 0
 
 
 @grid("fault, law, noise", ["stuck", "supply off"], FEEDBACK, dirty.NOISES)
@@ -105,34 +95,3 @@ def test_the_due_motion_is_that_of_the_laziest_valve():
     assert judged(np.zeros(3000), 5.0) is None
     assert judged(-0.5 * 1200.0 * 5.0 * (0.001 * np.arange(100)) ** 2, 10.0)[1] == "wrong_sign"
     assert judged(0.5 * 1200.0 * 5.0 * (0.001 * np.arange(60)) ** 2, 10.0) is None
-
-
-def back(law, hardware):
-    """Voltages [V] of a 5 V sine at 0.5 Hz; from 2.3 to 4.3 s ``hardware`` is gone, or the supply is off."""
-    values, plant = dirty.setting(law)
-    supervisor = Supervisor()
-    supervisor.apply(values, build.law_params(values))
-    p, random = build.valve_params(plant), np.random.default_rng(1)
-    s, voltages, said = valve.initial(p), [], ""
-    for k in range(6500):
-        gone = 2300 <= k < 4300
-        supervisor.command(5.0 * math.sin(2.0 * math.pi * 0.5 * k * dirty.PERIOD))
-        reading = valve.read(p, s, float(random.standard_normal()))
-        if gone and hardware:
-            voltages.append(supervisor.silence(dirty.PERIOD))
-        else:
-            voltages.append(supervisor.sample(reading, k + 1, 0.0 if k == 4300 else dirty.PERIOD))
-        s = s if gone and not hardware else valve.step(p, s, voltages[-1])
-        said += supervisor.reason if k >= 4300 and supervisor.reason not in said else ""
-    assert supervisor.mode is not Mode.SAFE
-    return np.array(voltages), said
-
-
-@grid("law, hardware", FEEDBACK, [True, False])
-def test_hardware_or_supply_that_returns_in_motion_makes_no_kick(law, hardware):
-    voltages, said = back(law, hardware)
-    usual = np.max(np.abs(np.diff(voltages[500:2300])))
-    first = 4300 + np.flatnonzero(voltages[4300:] == 0.0)[0] if not hardware else 4300
-    first += np.flatnonzero(voltages[first:] != 0.0)[0]
-    assert np.max(np.abs(np.diff(voltages[first - 1 : first + 5]))) <= 1.5 * usual
-    assert "wrong sign" not in said

@@ -9,7 +9,7 @@ import pytest
 from grids import grid
 from hypothesis import given
 from hypothesis import strategies as st
-from slow import PERIOD, SETTLED, bare, lag, run, settings
+from slow import PERIOD, SETTLED, settings
 
 from valve_control.control.analysis.indices import rms
 from valve_control.control.parameters import build
@@ -17,7 +17,6 @@ from valve_control.control.simulation import delivery
 from valve_control.control.simulation.delivery import Delivery
 from valve_control.control.supervision import command_course
 from valve_control.control.supervision.command_course import LONGEST, Course
-from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 
 P = command_course.Params(0.006, 0.0, 10.0, PERIOD)
@@ -85,37 +84,6 @@ def test_a_step_takes_effect_at_once_and_nothing_goes_beyond_it(period, jitter):
         assert got[20:][~seen[20:]] == pytest.approx(base, abs=1e-9)
 
 
-@grid("period", RATES)
-def test_a_step_beside_a_motion_leaves_the_motion_its_rate(period):
-    stamps = np.arange(0.0, 0.4, period)
-    times = np.arange(200, 400) * PERIOD
-    got = values_of(5.0 * stamps + (stamps >= 0.3), stamps, stamps, times)
-    assert got == pytest.approx(5.0 * times + (np.arange(200, 400) >= 300), abs=1e-6)
-
-
-@grid("period", RATES)
-def test_a_ramp_that_ends_is_gone_beyond_by_its_rate_times_the_age_of_the_command_at_most(period):
-    stamps = np.arange(0.0, 0.4, period)
-    came = np.maximum.accumulate(stamps + np.random.default_rng(4).uniform(0.0, 0.001, len(stamps)))
-    got = values_of(np.clip(40.0 * (stamps - 0.1003), 0.0, 4.0), stamps, came, np.arange(400) * PERIOD)
-    assert np.max(got) - 4.0 <= 40.0 * (period + 0.001 + PERIOD)
-    settled = 205 + round(5.0 * period / PERIOD)
-    assert np.min(got) >= 0.0 and got[settled:] == pytest.approx(4.0, abs=0.05 * 40.0 * period)
-
-
-@grid("period, size", [0.001, 0.005], [0.001, 0.02])
-def test_noise_of_the_upper_level_is_not_amplified(period, size):
-    """Neither what it is at rest, nor its changes, beside commands that hold until the next."""
-    random = np.random.default_rng(6)
-    stamps = np.arange(0.0, 4.0, period)
-    commands = random.normal(0.0, size, len(stamps))
-    came = np.maximum.accumulate(stamps + random.uniform(0.0, 0.001, len(stamps)))
-    times = np.arange(4000) * PERIOD
-    got = values_of(commands, stamps, came, times)
-    held = commands[np.searchsorted(came, times + 1e-9, side="right") - 1]
-    assert np.std(got) < 1.1 * np.std(held) and np.std(np.diff(got)) < 1.1 * np.std(np.diff(held))
-
-
 @given(
     st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=40), st.floats(0.0005, 0.05), st.floats(0.0, 0.2)
 )
@@ -159,37 +127,6 @@ def test_a_command_of_the_same_time_or_of_another_course_counts_at_once(elapsed)
     assert command_course.value(P, s, s.sent) == 2.0
 
 
-def test_the_lag_is_taken_off_the_time_of_the_reading():
-    stamps = np.arange(0.0, 1.0, PERIOD)
-    behind = P._replace(lag=0.003)
-    got = values_of(np.sin(10.0 * stamps), stamps, stamps, stamps, behind)
-    assert np.max(np.abs(got - np.sin(10.0 * (stamps - 0.003)))[50:]) < 1e-6
-
-
-@grid("law, every", ["arc", "oarc", "pid", "dcarc"], [5, 10])
-def test_there_is_no_staircase_in_the_voltage(law, every):
-    fast, slow = (run(bare(), each, controller=law) for each in (1, every))
-    assert slow.supervisor.mode is Mode.OK
-    assert slow.chatter < 1.3 * fast.chatter and slow.error < 1.05 * fast.error
-    assert abs(lag(slow)) < 1e-4 * every
-
-
-def test_lost_readings_leave_the_course_where_it_belongs():
-    """The course goes by time: after five lost readings it is as far as without them."""
-    found = []
-    for lost in (range(-9, -9), range(312, 317)):
-        values = settings(controller="arc", reshaping__lead=0.003)
-        supervisor = Supervisor()
-        supervisor.apply(values, build.law_params(values))
-        for k in range(330):
-            since = 0.0005 + PERIOD * (k - lost.start if k in lost or k == lost.stop else 0)
-            supervisor.command(math.sin(10.0 * k * PERIOD), 1.0 + k * PERIOD, since)
-            if k not in lost:
-                supervisor.sample(0.001 * (k % 3), k + 1, 0.0)
-        found.append(supervisor.command_in_force)
-    assert found[0] == pytest.approx(found[1], abs=2e-4) and abs(found[0]) > 0.1
-
-
 def test_a_driver_that_stood_still_beside_a_spool_at_rest_leaves_the_course_where_it_belongs():
     """For 10 ms no reading comes, and no number is missing: within 50 ms commands count at the right time."""
     values = settings(controller="arc", lvdt__disturbance=0.0)
@@ -204,29 +141,6 @@ def test_a_driver_that_stood_still_beside_a_spool_at_rest_leaves_the_course_wher
             number += 1
             supervisor.sample(0.001 * (k % 3), number, 0.01 if k == last + 10 else PERIOD)
     assert supervisor.command_in_force == pytest.approx(math.sin(9.0 * (k + 0.5) * PERIOD), abs=0.03)
-
-
-@grid("drift, jitter", [0.0, 1e-4, 1e-3], [0.0, 0.0005])
-def test_two_clocks_are_joined_over_the_supervisor(drift, jitter):
-    """Times of readings that jitter too; the command in force beside the motion at the time of the sample."""
-    values = settings(controller="open_loop")
-    supervisor = Supervisor()
-    supervisor.apply(values, build.law_params(values))
-    random = np.random.default_rng(8)
-    n, rate = 4000, 2.0 * math.pi * 3.0
-    taken = np.arange(n) * PERIOD + random.uniform(0.0, 2.0 * jitter, n)  # when a reading is answered
-    stamps = np.arange(n) * PERIOD
-    sent = 0.0003 + stamps * (1.0 + drift)
-    came = np.maximum.accumulate(sent + random.uniform(0.0, 2.0 * jitter, n))
-    k, last, errors = 0, 0.0, []
-    for i in range(n):
-        while k < n and came[k] <= taken[i]:
-            supervisor.command(0.1 * math.sin(rate * sent[k]), 100.0 + stamps[k], came[k] - last)
-            k += 1
-        supervisor.sample(0.001 * (i % 3), i + 1, taken[i] - last if i else 0.0)
-        last = taken[i]
-        errors.append((supervisor.command_in_force or 0.0) - 0.1 * math.sin(rate * i * PERIOD))
-    assert rms(np.array(errors[2000:])) < 0.1 * rate / math.sqrt(2.0) * 6e-5  # 60 µs of the motion
 
 
 CASES = {

@@ -94,19 +94,6 @@ def test_hum_of_the_mains_is_named(config, law, shipped, frequency):
     assert loop.supervisor.counts["safe_stops"] == 0
 
 
-def test_a_pause_after_cycles_ends_with_reset(config):
-    loop = Loop.shipped(config, "pid", "d3fxe")
-    while "limit_cycle" not in loop.supervisor.conditions:
-        loop.run(1, sine(1.0, 1.5), late=10)
-        assert len(loop.voltages) < 5000
-    assert set(loop.run(290, sine(1.0, 1.5)).voltages[-289:]) == {0.0}
-    loop.run(400, sine(1.0, 1.5))
-    assert "limit_cycle" not in loop.supervisor.conditions
-    loop.supervisor.memory.pause = cycle_watch.Pause(9.0, math.inf)
-    loop.supervisor.reset()
-    assert loop.supervisor.memory.pause == cycle_watch.NEVER
-
-
 @given(
     st.floats(20.0, 120.0),
     st.floats(-0.03, 0.03),
@@ -137,18 +124,6 @@ def test_lock_in_measures_gain_lag_and_frequency(frequency, off, gain, turn, mea
     assert (found.lag * frequency - turn + 0.5) % 1.0 - 0.5 == pytest.approx(0.0, abs=0.02)
 
 
-def test_lock_in_finds_a_hum_beside_the_answer_of_the_valve():
-    p = lock_in.Model(40.0, 1200.0, 1200.0, PERIOD)
-    omega = 2.0 * math.pi * 50.0
-    answer = p.b0 / (p.a0 - omega**2 + 1j * omega * p.a1) * cmath.exp(-0.5j * omega * PERIOD)
-    s, k = lock_in.begun(50.0, PERIOD), 0
-    while not lock_in.finished(s):
-        wave = cmath.exp(1j * omega * k * PERIOD)
-        s = lock_in.step(s, 2.0 * wave.real, (2.0 * answer * wave + 0.02j * wave).real, PERIOD)
-        k += 1
-    assert lock_in.found(p, s).hum == pytest.approx(0.02, rel=1e-3)
-
-
 def test_cycles_that_a_quick_command_brings_about_are_not_stopped(config):
     """A square wave and a fast sine that saturate the voltage at each turn."""
     for command in (lambda t: math.copysign(3.0, math.sin(40.0 * t)), sine(2.9, 15.0)):
@@ -168,12 +143,6 @@ def test_a_reading_that_swings_while_the_voltage_stands_is_a_hum_of_that_amplitu
     assert lock_in.step(s, 5.0, 5.0, PERIOD) == s, "a finished measurement stays"
 
 
-@pytest.mark.parametrize("mains", [50.0, 60.0, 100.0, 120.0])
-def test_a_frequency_is_one_of_the_mains_or_its_double_within_1_hz(mains):
-    for off, known in ((-0.9, mains), (0.9, mains), (-1.1, 0.0), (1.1, 0.0)):
-        assert cycle_watch.mains(mains + off) == known
-
-
 @pytest.mark.parametrize(
     ("gain", "frequency", "hum", "height", "source"),
     [(5.0, 70.0, 0.02, 2.0, cycle_watch.HUM),  # a valve is not five times as strong as its model
@@ -188,10 +157,3 @@ def test_the_source_of_cycles_is_the_reading_where_no_such_valve_can_be(gain, fr
     cycles = oscillation.NOTHING._replace(height=height)
     found = lock_in.LockInResult(frequency, gain, 0.0, hum)
     assert cycle_watch.source(cycles, found, 9.0, 0.01) == source
-
-
-def test_even_cycles_are_measured_from_the_fourth_on_unless_the_command_has_them():
-    few, many = (oscillation.NOTHING._replace(cycles=cycles) for cycles in (3.0, 4.0))
-    commanded = many._replace(turns=8.0)  # two of the command in each cycle
-    assert cycle_watch.unexplained(many, few) and cycle_watch.unexplained(few, many)
-    assert not cycle_watch.unexplained(few, few) and not cycle_watch.unexplained(commanded, commanded)

@@ -111,16 +111,3 @@ def test_other_numbers_are_no_rows(journal, change, said):
     assert len(block(rows).rows) == 1
     with pytest.raises(ValueError, match=f"{said} .*journal"):
         block(change(rows))
-
-
-def test_a_trajectory_keeps_its_times_beside_commands_on_another_axis():
-    """Commands have the time of sending, points that of their motion; the first of it is 0."""
-    supervisor = Supervisor()
-    values = changed.controller()
-    supervisor.apply(values, build.law_params(values))
-    journal = Journal(supervisor)
-    for k in range(200):
-        journal.trajectory(Motion(0.1, 0.0, 0.0), 10**6 * k or 1_790_000_000 * 10**9, 0.0005)
-        journal.command(0.2, 1_790_000_000 * 10**9 + 10**6 * k, 0.0005)
-        journal.sample(0.001 * (k % 3), k + 1, 0.001)
-    assert supervisor.counts["command_refused"] == 0 and supervisor.command_in_force == 0.1

@@ -33,13 +33,6 @@ def test_noise_that_is_ten_times_larger_is_named_with_its_figure(config, law, sh
     assert "lvdt_noise" not in loop.supervisor.conditions
 
 
-@pytest.mark.parametrize("shipped", ["d3fxe", "d3fxe_experiment"])
-def test_the_voltage_that_balances_friction_hides_no_noise_of_the_start(config, shipped):
-    loop = Loop.shipped(config, "pid", shipped).run(5000, sine(2.9, 0.2))
-    assert loop.supervisor.memory.noise.usual == pytest.approx(loop.p.lvdt.noise, rel=0.4)
-    assert not [text for text in loop.said if "noise" in text]
-
-
 @pytest.mark.parametrize("bits", [None, 10, 12])
 @pytest.mark.parametrize("law", ["arc", "pid"])
 def test_motion_and_rounding_are_no_noise(config, law, bits):

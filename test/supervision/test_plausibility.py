@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sizes
 from grids import grid
-from test_supervisor import FADE, LAWS, PERIOD, Loop
+from test_supervisor import LAWS, PERIOD, Loop
 
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws import registry
@@ -26,10 +26,6 @@ D3FXE = files.load(str(ros_file.config_folder() / "d3fxe.yaml"))["valve_simulato
 
 def flipped(reading):
     return -reading
-
-
-def half(reading):
-    return 0.5 * reading
 
 
 def moving(law, amplitude=2.0, frequency=1.5, plant=None, **changes):
@@ -87,14 +83,6 @@ def test_flipped_sign_is_switched_off_within_a_tenth_of_a_second_and_held_off(la
     assert believed(loop)
 
 
-@pytest.mark.parametrize("law", ["compensator", "open_loop"])
-@pytest.mark.parametrize(("amplitude", "limit"), [(0.3, 2.0), (2.0, 1.0)])
-def test_flipped_sign_is_found_without_feedback_too(law, amplitude, limit):
-    loop = moving(law, amplitude).run(1011)
-    said, _ = words(loop, flipped, int(limit / PERIOD))
-    assert "wrong sign" in said
-
-
 @grid("law, gain", LAWS, [0.5, 2.0], strength=1)
 def test_a_gain_that_leaps_in_motion_is_not_believed_again(law, gain):
     def spoil(reading):
@@ -110,41 +98,6 @@ def test_a_gain_that_leaps_in_motion_is_not_believed_again(law, gain):
     assert believed(loop)
 
 
-@grid("law, lost", LAWS, [False, True], strength=1)
-def test_a_gain_that_leaps_just_before_readings_fail_to_come_is_not_believed(law, lost):
-    """After the gap the readings could have been moved there by the spool."""
-    loop = moving(law, 1.5).run(1180)
-    loop.step(half)
-    assert "jump" in loop.supervisor.reason
-    loop.run(30, send=False)
-    if not lost:
-        loop.supervisor.silence(0.03)
-    loop.step(half)
-    assert loop.supervisor.mode is Mode.SAFE
-    said, largest = words(loop, half, 4000)
-    assert "LVDT readings disagree with the voltage: gain about 0.5" in said
-    assert largest <= 6.0
-    loop.run(7000)
-    assert believed(loop)
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_a_spike_of_the_readings_is_bridged(law):
-    loop = moving(law).run(1100)
-    for size in (0.3, -0.5, 1.0):
-        loop.step(lambda reading, size=size: reading + size)
-        assert "lvdt_jump_bridged" in loop.supervisor.conditions
-        loop.run(60)
-    assert loop.supervisor.counts["safe_stops"] == 0
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_readings_beside_the_truth_do_not_drive_the_valve_to_its_limit_for_long(law):
-    loop = moving(law).run(1180)
-    _, largest = words(loop, lambda reading: reading + 8.0, 4000)
-    assert largest <= 6.0
-
-
 def test_reset_ends_the_doubt_and_the_readings_have_to_prove_it():
     loop = moving("arc").run(1180)
     words(loop, flipped, 2500)
@@ -156,12 +109,6 @@ def test_reset_ends_the_doubt_and_the_readings_have_to_prove_it():
     assert n <= 150
 
 
-def test_the_comparison_can_be_switched_off():
-    loop = moving("compensator", 0.3, lvdt__disturbance=0.0).run(1011)
-    loop.run(4000, spoil=flipped)
-    assert loop.supervisor.counts["safe_stops"] == 0
-
-
 @grid(
     "law, plant, motion",
     LAWS,
@@ -171,36 +118,6 @@ def test_the_comparison_can_be_switched_off():
 def test_sound_readings_are_never_doubted(law, plant, motion):
     loop = moving(law, *motion, plant).run(2500)
     assert loop.supervisor.counts["safe_stops"] == loop.supervisor.counts["lvdt_refused"] == 0
-
-
-@pytest.mark.parametrize("law", FEEDBACK)
-@pytest.mark.parametrize("gain", [0.4, 0.1])
-def test_a_weak_solenoid_is_no_matter_of_the_lvdt_unless_it_moves_nothing(law, gain):
-    """Of a tenth of the force nothing is left beside friction: that is a supply that is off."""
-    loop = moving(law, plant=D3FXE).run(1011)
-    loop.p = loop.p._replace(gain_scale=gain * loop.p.gain_scale)
-    said, _ = words(loop, lambda reading: reading, 900)
-    assert ("the spool does not follow it" in said) == ("LVDT" in said) == (gain == 0.1)
-
-
-def test_return_after_a_disagreement_is_bumpless():
-    loop = moving("arc", arc__velocity_cutoff=40.0).run(1180)
-    usual = loop.largest_step(0)
-    until_safe(loop, flipped, 1000)
-    loop.run(20)
-    begin = len(loop.voltages)
-    loop.run(3000)
-    assert believed(loop)
-    assert loop.largest_step(begin) <= 1.5 * usual + FADE
-
-
-def test_a_healthy_valve_of_any_stiffness_and_gain_has_a_positive_real_comparison():
-    """Re[(1 + jω/a1)·b0/(a0 - ω² + jω·a1)] > 0 for all ω, whatever a0 and b0."""
-    frequency = np.logspace(-2, 5, 400)
-    for a0 in (1.0, 100.0, 1200.0, 1e5):
-        for a1 in (5.0, 20.0, 150.0):
-            s = 1j * frequency
-            assert np.min(((1.0 + s / a1) / (s * s + a1 * s + a0)).real) > 0.0
 
 
 def test_slope_is_that_of_the_voltage_without_its_friction():
@@ -238,14 +155,6 @@ def course(late, leap):
     smooth = 0.02 * math.sin(20.0) + 2.0 + 10.0 * late  # as fast as before
     fault, _ = lvdt.step(p, s, smooth + leap, 0, 0.0, False, 0.001 + late)
     return fault
-
-
-@pytest.mark.parametrize("late", [0.0, 0.001, 0.0012, 0.002])
-def test_a_leap_is_seen_in_a_reading_that_comes_late(late):
-    """A valve simulator that is told to lie takes a moment for it; a leap of 0.8 V is below max_rate then."""
-    assert course(late, 0.8) == "jump"
-    # What a spool can make of 20,000 V/s² in the longer time is none.
-    assert course(late, 0.5 * 20000.0 * (0.001 + late) ** 2) == lvdt.SOUND
 
 
 @pytest.mark.parametrize(("leap", "text"), [(-0.3, ", or are late by 10 ms"), (0.3, ""), (-3.0, "")])

@@ -11,7 +11,6 @@ from test_cycle_watch import Loop
 
 from valve_control.control.laws import registry
 from valve_control.control.parameters import files
-from valve_control.control.plant import valve
 from valve_control.control.supervision import lvdt
 from valve_control.control.supervision.record import Mode
 
@@ -75,33 +74,6 @@ def test_an_lvdt_that_freezes_at_rest_is_found_when_the_command_moves(law, own, 
     assert "lvdt_frozen" in loop.supervisor.conditions
 
 
-@pytest.mark.parametrize("law", ["pid", "compensator", "open_loop"])
-def test_a_noisy_lvdt_that_froze_long_ago_is_found_as_soon_as_the_voltage_moves(law):
-    loop = Loop({"controller": law}, {"lvdt.noise": 0.0056, "lvdt.resolution": 0.0037})
-    loop.run(501, lambda t: 0.0)
-    loop.run(2000, lambda t: 0.0, frozen=loop.readings[-1]).run(20, lambda t: 2.0, frozen=loop.readings[-1])
-    assert "lvdt_frozen" in loop.supervisor.conditions
-
-
-@pytest.mark.parametrize("law", ["arc", "pid"])
-@pytest.mark.parametrize("plant", [{}, FRICTION], ids=["smooth", "friction"])
-@pytest.mark.parametrize("command", ["steps", "sine"])
-def test_lost_readings_and_rounding_of_a_driver_are_no_noise(law, plant, command):
-    """Every third reading is lost; the driver averages four in a running sum, which leaves the last bit."""
-    loop = Loop({"controller": law}, {**plant, "lvdt.resolution": BITS[12]})
-    held, total = [0.0] * 4, 0.0
-    for k in range(2000):
-        loop.supervisor.command(COMMANDS[command](k * PERIOD))
-        reading = valve.read(loop.p, loop.s, 0.0)
-        total += reading / 4.0 - held[k % 4]
-        held[k % 4] = reading / 4.0
-        if k % 3:
-            loop.supervisor.sample(reading if k < 1000 else total, k + 1)
-            loop.names |= set(loop.supervisor.conditions)
-        loop.s = valve.step(loop.p, loop.s, loop.supervisor.voltage)
-    assert "lvdt_frozen" not in loop.names
-
-
 @pytest.mark.parametrize(
     ("noise", "noisy"), [(0.0, False), (0.1, False), (0.3, False), (0.6, False), (1.5, True), (5.0, True)]
 )
@@ -139,14 +111,6 @@ def judged(b0, samples):
         fault, s = lvdt.step(p, s, reading, 0, voltage, blocked, PERIOD)
         said.append(fault)
     return said
-
-
-@pytest.mark.parametrize(("b0", "last"), [(1200.0, "frozen"), (0.0, "")])
-def test_that_a_pulled_spool_must_have_moved_only_a_model_tells(b0, last):
-    """A spool rests at 0.2 V, for which (1) needs 0.2 V; 4 V must move it by three steps within 50 ms."""
-    slow = [(0.02 * round(0.02 * k), 0.2, False) for k in range(600)]
-    said = judged(b0, [*slow, *[(0.24, 4.0, False)] * 50])
-    assert set(said[:600]) == {""} and said[-1] == last
 
 
 @pytest.mark.parametrize(("off", "first"), [(0, 10), (15, 15), (40, 0)])

@@ -2,22 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings of another rate: measured, reported, and off beyond what the gains were checked for."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from research.campaigns import dirty
-from valve_control.control.laws.registry import LAWS
-from valve_control.control.laws.signals import Start
-from valve_control.control.parameters import build, files
-from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant import valve
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.supervision import rate
 from valve_control.control.supervision.record import Mode
-from valve_control.control.supervision.state_snapshot import restore, snapshot
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
 
@@ -58,16 +51,6 @@ def test_the_period_is_measured_whatever_jitter_and_loss(factor, share_lost, see
     assert rate.measured(after(np.sort(times), numbers=kept)) == pytest.approx(factor * PERIOD, rel=0.011)
 
 
-def test_standstills_of_the_sender_are_no_false_alarm():
-    """A simulator that is held up for 0.1 s skips samples without a gap in their numbers."""
-    steps = np.full(20000, PERIOD)
-    steps[::250] += 0.1
-    state = rate.UNKNOWN
-    for step in steps:
-        state = rate.step(PARAMS, state, step, 1)
-        assert state.level == 0
-
-
 @pytest.mark.parametrize(
     ("factor", "level"),
     [
@@ -88,27 +71,6 @@ def test_level(factor, level):
     assert after(factor * PERIOD * np.arange(10000)).level == level
 
 
-def test_a_sender_that_makes_good_what_it_lacks_is_no_false_alarm():
-    """Half a second 6 % too slow, then as fast as needed: what a simulator on a busy desktop does."""
-    slow = np.concatenate([np.full(500, 1.06), np.full(100, 0.7), np.full(2000, 1.0)]) * PERIOD
-    state = rate.UNKNOWN
-    for step in np.tile(slow, 10):
-        state = rate.step(PARAMS, state, step, 1)
-        assert state.level == 0
-
-
-@pytest.mark.parametrize("controller", list(LAWS))
-def test_deviation_is_reported_with_both_numbers_and_ends(controller):
-    made = supervisor(controller=controller)
-    number = feed(made, 2.0, PERIOD)
-    assert made.mode is Mode.OK
-    number = feed(made, 5.0, 1.05 * PERIOD, number)
-    assert made.mode is Mode.DEGRADED
-    assert made.reason == "LVDT readings come every 1.05 ms, sample_period is 1 ms"
-    feed(made, 2.0, PERIOD, number)
-    assert made.mode is Mode.OK
-
-
 @pytest.mark.parametrize("factor", [0.5, 0.8, 1.2, 2.0])
 def test_beyond_the_limit_the_voltage_is_off_until_the_period_is_right(factor):
     made = supervisor(controller="arc")
@@ -119,53 +81,6 @@ def test_beyond_the_limit_the_voltage_is_off_until_the_period_is_right(factor):
     assert made.mode is Mode.SAFE and made.counts["safe_stops"] == 1
     feed(made, 2.0, PERIOD, number)
     assert made.mode is Mode.OK
-
-
-def test_a_new_sample_period_is_measured_anew():
-    made = supervisor(controller="pid")
-    number = feed(made, 2.0, 2.0 * PERIOD)
-    assert made.mode is Mode.SAFE
-    values = {**made.values, "sample_period": 2.0 * PERIOD}
-    made.apply(values, build.law_params(values))
-    feed(made, 2.0, 2.0 * PERIOD, number)
-    assert made.mode is Mode.OK
-
-
-def test_what_was_measured_is_remembered():
-    made = supervisor(controller="arc")
-    number = feed(made, 5.1, 1.05 * PERIOD)
-    again = supervisor(controller="arc")
-    assert restore(again, snapshot(made))
-    for one in (made, again):
-        feed(one, 1.0, PERIOD, number)
-    assert snapshot(made) == snapshot(again)
-
-
-@pytest.mark.parametrize("name", ["arc", "oarc", "pid", "pid_plain"])
-def test_shipped_gains_are_stable_within_the_limit(name, config):
-    """Impulse response of the loop at another period than the law's, as a linear loop that must die out."""
-    values = updated(CONTROLLER, defaults(CONTROLLER), files.load(str(config / f"{name}.yaml"))["controller"])
-    law = LAWS[values["controller"]].module
-    params = build.law_params(values)
-    theta = (
-        params.theta_initial[:3] if "theta_initial" in params._fields else (params.a1, params.a0, params.b0)
-    )
-    if "gamma" in params._fields:
-        params = params._replace(gamma=type(params.gamma)(0.0, 0.0, 0.0, 0.0))
-    limit = values["lvdt.period_limit"]
-    for factor in np.linspace(1.0 - limit, 1.0 + limit, 7):
-        for gain in (1.0, 1.25):
-            model = {"valve": "custom", "numerator": [gain * theta[2]], "denominator": [1.0, *theta[:2]]}
-            actual = {"sample_period": float(factor * params.period)}
-            plant = build.valve_params(updated(VALVE, defaults(VALVE), {**model, **actual}))
-            state, spool = law.initial(params, Start(0.0, 0.0, 0.0, 0.0, 0.0)), valve.initial(plant)
-            position = []
-            for k in range(3000):
-                position.append(valve.read(plant, spool, 0.0))
-                voltage, state, _ = law.step(params, state, 1e-3 if k < 10 else 0.0, position[-1], 0.0)
-                spool = valve.step(plant, spool, voltage)
-            largest = np.abs(position)
-            assert max(largest[-500:]) < 1e-3 * max(largest[:500]), (factor, gain)
 
 
 def arrivals(made, seconds, size, began=0, jitter=0.0, held_up=0.0):
@@ -192,11 +107,6 @@ def test_bursts_of_readings_are_reported_and_the_word_ends_with_them(size):
     assert several == pytest.approx(size, rel=0.1)
     arrivals(made, 0.3, 1, 4000)
     assert "lvdt_bursts" not in made.conditions
-
-
-def test_jitter_and_standstills_are_no_bursts():
-    """Readings late by 0.3 ms rms, and 8 ms in which nothing is answered 20 times a second."""
-    assert "lvdt_bursts" not in arrivals(supervisor(), 4.0, 1, jitter=3e-4, held_up=0.02)
 
 
 def with_standstills(pause, apart, count=12):
@@ -230,18 +140,6 @@ def test_standstills_and_their_bursts_are_no_period(pause, apart):
     assert made.counts["safe_stops"] == (12 if pause > 0.0215 else 0)
 
 
-def test_control_returns_after_two_right_windows_and_one_sentence_tells_the_rate():
-    made = supervisor(controller="arc")
-    number = feed(made, 2.0, PERIOD)
-    slow = run_as_a_node(made, np.full(540, 1.3 * PERIOD))
-    assert made.mode is Mode.SAFE
-    back = run_as_a_node(made, np.full(400, PERIOD))
-    right = next(k for k, reason in enumerate(back) if "controlling" in reason)
-    assert right * PERIOD <= 0.34  # the mixed window, two right ones, and the sound readings; 0.44 s before
-    assert all(reason.count("come every") <= 1 for reason in slow + back)
-    assert number == 2000
-
-
 @pytest.mark.parametrize("factor", [0.2, 0.5, 0.8, 1.2, 2.0, 10.0])
 def test_a_wrong_period_is_known_before_a_first_voltage(factor):
     """And a right one after twenty readings, the first of which came at any time."""
@@ -265,23 +163,3 @@ def test_a_sample_period_that_the_readings_contradict_is_refused():
         "change the period of the readings first"
     )
     assert made.period_refusal(PERIOD) == made.period_refusal(1.05 * PERIOD) == ""
-
-
-def test_bursts_that_make_the_loop_oscillate_are_named_before_the_limit_cycle():
-    """Four readings at a time, of which only the last voltage acts."""
-    values, plant = dirty.setting("d3fxe_dcarc")
-    made, p = supervisor(**values), build.valve_params(plant)
-    s, random, voltage, readings = valve.initial(p), np.random.default_rng(1), 0.0, []
-    for k in range(2000):
-        readings.append(valve.read(p, s, float(random.standard_normal())))
-        made.command(2.0 * math.sin(2.0 * math.pi * 1.5 * k * PERIOD))
-        if k < 500 or k % 4 == 3:
-            for i, reading in enumerate(readings):
-                elapsed = PERIOD if k < 500 else 5e-5 if i else 4.0 * PERIOD - 15e-5
-                voltage = made.sample(reading, k - len(readings) + i + 1, elapsed)
-            readings = []
-        s = valve.step(p, s, voltage)
-        assert "limit_cycle" not in made.conditions
-        if "lvdt_bursts" in made.conditions:
-            break
-    assert 700 < k < 1100

@@ -71,14 +71,6 @@ def test_goes_on_bit_for_bit(law, moves, cut, gap):
     assert np.array_equal(drive(first, numbered[cut:]), drive(second, numbered[cut:]), equal_nan=True)
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1, 2]", '{"law": "arc"}', "null", '"arc"'])
-def test_what_is_no_memory_changes_nothing(text):
-    supervisor = made()
-    before = snapshot(supervisor)
-    assert not restore(supervisor, text)
-    assert snapshot(supervisor) == before
-
-
 def test_the_memory_of_another_law_or_version_is_refused():
     other = made(controller="oarc")
     drive(other, [(i, ("sample", 0.01)) for i in range(1, 30)])

@@ -23,7 +23,6 @@ from valve_control.control.parameters.table import COMMAND, CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.simulation import offline
 from valve_control.control.supervision import bumpless_transfer
-from valve_control.control.supervision.cache_warming import CacheWarming
 from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import ParameterError, defaults, lookup, updated
@@ -182,16 +181,6 @@ def test_lost_samples_are_counted_and_stepped_over(law):
     assert loop.supervisor.mode is Mode.OK
 
 
-def test_time_of_lost_samples_counts_for_the_reference():
-    """After a gap the reference is where that of an unbroken run is."""
-    whole, gapped = Loop("arc").run(300), Loop("arc").run(290)
-    gapped.run(9, send=False).run(1)
-    index = whole.supervisor.labels().index("reference")
-    assert gapped.supervisor.telemetry()[index] == pytest.approx(
-        whole.supervisor.telemetry()[index], abs=0.05
-    )
-
-
 @pytest.mark.parametrize("law", LAWS)
 def test_a_driver_that_stood_still_is_like_lost_readings(law):
     """The spool has moved on for 10 ms: the law is stepped over them, as if numbers were missing."""
@@ -213,44 +202,12 @@ def test_readings_that_come_late_in_a_burst_are_no_lost_ones(law):
     assert loop.run(40).voltages == Loop(law).run(390).voltages
 
 
-def test_the_open_loop_has_no_limit_cycle():
-    """Its voltage is the command, however unevenly that comes; a law with feedback may cycle."""
-    found = []
-    for law in ("open_loop", "arc"):
-        values = changed.controller(controller=law, oscillation_limit=0.1)
-        supervisor = Supervisor()
-        supervisor.apply(values, build.law_params(values))
-        for k in range(2000):
-            wobble = 0.03 * (k // 3 % 2)
-            supervisor.command(
-                0.0 if law == "arc" else 3.0 * math.sin(2.0 * math.pi * 8.2 * k * PERIOD) + wobble
-            )
-            supervisor.sample(0.3 * math.sin(2.0 * math.pi * 8.2 * k * PERIOD), k + 1)
-        found.append("oscillation" in supervisor.conditions)
-    assert found == [False, True]
-
-
-def test_a_longer_gap_than_allowed_is_silence():
-    loop = Loop("pid", lvdt__hold_samples=10).run(300)
-    loop.run(11, send=False)
-    assert loop.step() == 0.0 and "lvdt_silent" in loop.supervisor.conditions
-
-
 @pytest.mark.parametrize("law", LAWS)
 def test_silence_told_from_outside(law):
     loop = Loop(law).run(300)
     assert loop.supervisor.silence(0.02) == 0.0 and loop.supervisor.mode is Mode.SAFE
     loop.run(2500)
     assert loop.supervisor.mode is Mode.OK
-
-
-def test_an_event_before_a_silence_is_over_a_second_later_too():
-    loop = Loop("arc").run(300)
-    loop.supervisor.command(99.0)
-    loop.supervisor.silence(0.5)
-    assert {"command_limited", "lvdt_silent"} == set(loop.supervisor.conditions)
-    loop.supervisor.silence(0.6)
-    assert {"lvdt_silent"} == set(loop.supervisor.conditions)
 
 
 def crest(amplitude):
@@ -285,14 +242,6 @@ def test_frozen_lvdt_in_motion(law, longest):
             assert loop.supervisor.voltage == 0.0
             loop.run(2500)
             assert loop.supervisor.mode is Mode.OK
-
-
-def test_standstill_is_not_a_frozen_lvdt():
-    loop = Loop("arc")
-    loop.p = build.valve_params(defaults(VALVE))
-    loop.commanded = False
-    loop.run(3000)
-    assert loop.supervisor.counts["safe_stops"] == 0
 
 
 def test_frozen_value_at_rest_stays_off_until_activated_anew():
@@ -337,18 +286,6 @@ def homed(law, noise=0.002):
     return loop.run(1500)
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_no_parameter_moves_a_spool_that_nobody_commands(law):
-    loop = homed(law)
-    for name in ("neutral_rate", "neutral_accel", "command_timeout"):
-        for value in (1.0, 5.0):
-            loop.values = {**loop.values, name: value}
-            loop.supervisor.apply(loop.values, build.law_params(loop.values))
-            for _ in range(600):
-                loop.step()
-                assert abs(loop.s.x.x0) < 0.1, (name, value)
-
-
 @pytest.mark.parametrize(
     ("law", "step", "end"),
     [
@@ -376,40 +313,6 @@ def test_command_and_lvdt_that_return_together_make_no_bump(law, step, end):
     assert loop.s.x.x0 == pytest.approx(end, abs=0.005)
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_command_that_returns_in_a_gap_never_overshoots(law):
-    loop = homed(law)
-    loop.command = lambda: -5.0
-    loop.commanded = True
-    loop.run(10, send=False)
-    effective = []
-    index = loop.supervisor.labels().index("command")
-    for _ in range(600):
-        loop.step()
-        effective.append(loop.supervisor.telemetry()[index])
-    assert min(effective) >= -5.0 - 1e-6 and effective[0] > -0.1
-
-
-def test_motion_during_a_pause_of_the_driver_is_no_jump():
-    moving = Loop("pid")
-    moving.amplitude, moving.frequency = 4.0, 3.0
-    for loop in moving.at(range(700, 1030, 30)):
-        for _ in range(15):
-            loop.s = valve.step(loop.p, loop.s, loop.supervisor.voltage)
-        loop.k += 1
-        loop.supervisor.sample(loop.reading(), loop.k, 16 * PERIOD)
-        loop.run(50)
-        assert loop.supervisor.counts["safe_stops"] == 0
-
-
-def test_estimates_survive_deactivation_in_what_is_saved():
-    loop = Loop("arc").run(1000)
-    before = loop.supervisor.present_values()["arc.theta_initial"]
-    loop.supervisor.start()
-    assert loop.supervisor.present_values()["arc.theta_initial"] == before
-    assert before != loop.values["arc.theta_initial"]
-
-
 def test_estimates_of_another_law_are_not_saved_as_those_of_the_law_that_waits():
     """A law that is chosen at 0 V has no estimates yet; its own have another meaning and number."""
     loop = Loop("arc").run(300)
@@ -420,19 +323,6 @@ def test_estimates_of_another_law_are_not_saved_as_those_of_the_law_that_waits()
     assert loop.supervisor.present_values() == values
     loop.supervisor.start()
     assert loop.supervisor.present_values() == values
-
-
-def test_sound_readings_must_come_in_a_row():
-    loop = Loop("arc", lvdt__recovery_samples=10).run(300).run(50, spoil=lambda reading: math.nan)
-    for _ in range(15):
-        loop.step()
-        loop.supervisor.silence(0.1)
-    assert loop.supervisor.mode is Mode.SAFE
-    for _ in range(15):
-        loop.run(9).run(3, send=False)
-    assert loop.supervisor.mode is Mode.SAFE
-    loop.run(10)
-    assert loop.supervisor.mode is not Mode.SAFE
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -446,27 +336,6 @@ def test_return_while_the_spring_still_moves_the_spool(law):
         loop.run(600)
         assert loop.supervisor.mode is not Mode.SAFE
         assert loop.largest_step(begin) <= 1.5 * usual + FADE, begin
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_activation_elsewhere_than_at_rest_is_bumpless(law):
-    loop = Loop(law, arc__velocity_cutoff=40.0, pid__derivative_cutoff=40.0)
-    loop.command = lambda: 3.0
-    loop.run(600)
-    loop.supervisor.start()
-    begin = len(loop.voltages)
-    loop.run(1500)
-    assert loop.voltages[begin] == pytest.approx(0.0, abs=1e-9)
-    assert loop.largest_step(begin) < 1.5
-    assert loop.s.x.x0 == pytest.approx(3.0, abs=0.4)
-
-
-def test_estimates_given_while_the_voltage_is_off_count():
-    loop = Loop("arc").run(500).run(60, spoil=lambda reading: math.nan)
-    values = {**loop.values, "arc.theta_initial": [30.0, 1500.0, 1300.0, 5.0]}
-    loop.supervisor.apply(values, build.law_params(values))
-    loop.run(60)
-    assert np.allclose(loop.supervisor.theta, [30.0, 1500.0, 1300.0, 5.0], rtol=0.05, atol=60.0)
 
 
 @pytest.mark.parametrize(
@@ -505,87 +374,6 @@ def test_silent_command_leads_back_to_neutral_and_out_again_without_a_bump(law):
     assert loop.largest_step(begin) <= 1.5 * usual
 
 
-def test_way_to_neutral_keeps_its_rate():
-    loop = Loop("open_loop", command_timeout=0.1, neutral_rate=5.0).run(834)
-    loop.commanded = False
-    loop.run(110)
-    telemetry = []
-    index = loop.supervisor.labels().index("command")
-    for _ in range(600):
-        loop.step()
-        telemetry.append(loop.supervisor.telemetry()[index])
-    rates = np.abs(np.diff(telemetry)) / PERIOD
-    assert np.max(rates) <= 5.0 * (1.0 + 1e-6) and abs(telemetry[-1]) < 1e-3
-
-
-def test_timeout_of_zero_holds_the_last_command_for_ever():
-    loop = Loop("arc", command_timeout=0.0).run(150)
-    loop.commanded = False
-    held = loop.command()
-    loop.run(3000)
-    assert loop.s.x.x0 == pytest.approx(held, abs=0.1)
-    assert "command_silent" not in loop.supervisor.conditions
-
-
-def test_upper_level_that_leaves_is_silent_at_once():
-    loop = Loop("arc").run(150)
-    loop.commanded = False
-    loop.supervisor.command_gone()
-    loop.run(1)
-    assert "command_silent" in loop.supervisor.conditions
-
-
-def test_refused_and_limited_commands_are_counted_and_harmless():
-    loop = Loop("arc", command_limit=3.0).run(300)
-    for bad in (math.nan, math.inf, -math.inf):
-        loop.supervisor.command(bad)
-    assert loop.supervisor.counts["command_refused"] == 3
-    index = loop.supervisor.labels().index("command")
-    loop.commanded = False
-    loop.run(1)
-    assert abs(loop.supervisor.telemetry()[index]) <= 2.0
-    loop.supervisor.command(500.0)
-    loop.run(1)
-    assert loop.supervisor.telemetry()[index] == 3.0
-    assert loop.supervisor.counts["command_limited"] == 1
-
-
-def test_stream_of_refused_commands_is_a_silent_command():
-    loop = Loop("arc", command_timeout=0.1).run(150)
-    loop.command = lambda: math.nan
-    loop.run(150)
-    assert {"command_refused", "command_silent"} <= set(loop.supervisor.conditions)
-
-
-@pytest.mark.parametrize("law", ["arc", "oarc", "pid"])
-def test_a_stuck_spool_is_switched_off_and_winds_nothing_up(law):
-    """Its voltage is 0 V but for short trials, and the estimates are those of the valve that moved."""
-    loop = Loop(law, lvdt__frozen_samples=0).run(300)
-    stuck = loop.s.x.x0
-    usual = loop.largest_step(0)
-    theta = loop.supervisor.theta
-    for _ in range(600):
-        loop.step(lambda reading: stuck)
-        loop.s = loop.s._replace(x=loop.s.x._replace(x0=stuck, x1=0.0))
-    assert loop.supervisor.mode is Mode.SAFE and "lvdt_disagrees" in loop.supervisor.conditions
-    assert np.mean(np.abs(loop.voltages[-500:])) < 1.0
-    if theta is not None:
-        p = build.law_params(loop.values)
-        room = np.subtract(p.theta_max, p.theta_min)
-        assert np.all(np.abs(np.subtract(loop.supervisor.theta, theta)) < 0.05 * room)
-    loop.run(2500)
-    assert loop.supervisor.mode is Mode.OK
-    assert loop.largest_step(len(loop.voltages) - 500) <= 1.5 * usual
-
-
-def test_saturation_is_said():
-    loop = Loop("arc", saturation_limit=0.05, lvdt__frozen_samples=0)
-    loop.command = lambda: 9.0
-    loop.p = loop.p._replace(gain_scale=0.7)
-    loop.run(400)
-    assert "saturation" in loop.supervisor.conditions
-
-
 def test_law_that_leaves_the_finite_numbers_is_switched_off_and_begins_anew():
     loop = Loop("arc").run(100)
     loop.supervisor.memory.law = loop.supervisor.memory.law._replace(reference=reshaping.State(1e308, 1e308))
@@ -606,16 +394,6 @@ def with_own(monkeypatch, part, function):
 
     module = types.SimpleNamespace(**{**parts, part: own}, __name__=arc.module.__name__)
     monkeypatch.setitem(registry.LAWS, "arc", arc._replace(module=module))
-
-
-def test_finite_terms_whose_sum_overflows_are_finite(monkeypatch):
-    def large(inner, p, s, command, measurement, offset):
-        voltage, s, terms = inner(p, s, command, measurement, offset)
-        return voltage, s, terms._replace(z1=1.5e308, unsaturated_voltage=1.5e308)
-
-    with_own(monkeypatch, "step", large)
-    loop = Loop("arc").run(50)
-    assert loop.supervisor.counts["law_not_finite"] == 0 and loop.supervisor.memory.law is not None
 
 
 @pytest.mark.parametrize("part", ["step", "hold"])
@@ -641,17 +419,6 @@ def test_a_law_that_raises_is_switched_off_with_error_line_and_time(monkeypatch,
         " after 0.041 s" if part == "step" else " after 0.042 s"
     )
     assert loop.run(4000).supervisor.counts["law_not_finite"] <= 5  # after 0.3, 0.6, 1.2 and 2.4 s
-
-
-def test_each_change_is_flagged_once():
-    loop = Loop("arc").run(300)
-    loop.supervisor.changed = False
-    flags = 0
-    for _ in range(200):
-        loop.step(lambda reading: math.nan)
-        flags += loop.supervisor.changed
-        loop.supervisor.changed = False
-    assert flags == 2  # bridged, then off
 
 
 # Anything at all
@@ -749,56 +516,6 @@ def test_voltage_is_given_once_and_is_the_one_returned(law, readings, lost):
         assert voltage == plain.sample(reading, number, PERIOD)
     assert giving.telemetry() == pytest.approx(plain.telemetry(), nan_ok=True, abs=0.0)
     assert giving.conditions == plain.conditions and giving.counts == plain.counts
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_cache_warming_leaves_no_trace(law):
-    """The voltages with cache warming before each reading are those without, through a fault too."""
-
-    def voltages(warmed):
-        loop = Loop(law)
-        warming = CacheWarming()
-        warming.apply(loop.values, build.law_params(loop.values))
-        found = []
-        for k in range(600):
-            loop.supervisor.command(loop.command())
-            if warmed:
-                warming.warm(loop.supervisor)
-            reading = math.nan if 200 <= k < 240 else loop.reading()
-            found.append(loop.supervisor.sample(reading, k + 1, PERIOD))
-            loop.s = valve.step(loop.p, loop.s, found[-1])
-            loop.k += 1
-        return found
-
-    with_warming = voltages(True)
-    assert with_warming == voltages(False)
-    assert 0.0 in with_warming[220:] and any(with_warming[-50:])
-
-
-def test_the_voltage_of_a_law_that_leaves_the_finite_numbers_is_given_once():
-    """Neither the law's voltage nor the one before, but 0 V."""
-    loop = Loop("arc").run(100)
-    loop.supervisor.memory.law = loop.supervisor.memory.law._replace(reference=reshaping.State(1e308, 1e308))
-    before = loop.supervisor.voltage
-    found = []
-    assert loop.supervisor.sample(loop.reading(), None, PERIOD, found.append) == 0.0 != before
-    assert found == [0.0] and "law_not_finite" in loop.supervisor.conditions
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_a_change_of_the_lead_and_a_way_with_lead_through_faults_are_bumpless(law):
-    usual = Loop(law, reshaping__lead=0.005).run(1000)
-    step = usual.largest_step(100)
-    loop = Loop(law, reshaping__lead=0.005).run(600)
-    loop.run(150, spoil=lambda reading: math.nan)
-    assert loop.supervisor.mode is Mode.SAFE and loop.supervisor.memory.lead is None
-    begin = len(loop.voltages)
-    loop.run(2000)
-    assert loop.supervisor.mode is Mode.OK, loop.supervisor.reason
-    assert loop.largest_step(begin) <= 1.5 * max(step, usual.largest_step(0)) + FADE
-    values = updated(CONTROLLER, loop.values, {"sample_period": 0.0005})
-    loop.supervisor.apply(values, build.law_params(values))
-    assert loop.supervisor.memory.lead is None
 
 
 class Unbounded(NamedTuple):

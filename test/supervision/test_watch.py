@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.supervision import watch
 from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.record import Memory
 from valve_control.export import samples, unit
@@ -104,8 +103,3 @@ def test_a_law_that_leaves_the_finite_numbers_is_switched_off(monkeypatch):
     monkeypatch.setitem(LAWS, "pid", pid._replace(module=module))
     chosen = watched(controller="pid", pid__form="plain")
     assert "law_not_finite" in compare(chosen, 2500, 2)
-
-
-def test_the_template_itself_does_not_run():
-    with pytest.raises(NotImplementedError):
-        watch.law_initial(None, None)

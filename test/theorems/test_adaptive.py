@@ -5,11 +5,7 @@
 import numpy as np
 import pytest
 
-from research.theorems import adaptive, bench
-from valve_control.control.laws.registry import LAWS
-from valve_control.control.laws.signals import Start
-from valve_control.control.parameters.table import CONTROLLER
-from valve_control.parameter import defaults
+from research.theorems import adaptive
 
 
 @pytest.fixture(scope="module")
@@ -37,17 +33,3 @@ def test_what_is_left_in_motion_is_of_the_order_of_the_period(experiment, law):
 def test_estimates_converge_only_under_persistent_excitation(experiment, law):
     assert experiment.cell(law, "three sines", 1e-4).estimate_error < 0.1
     assert experiment.cell(law, "one sine", 1e-4).estimate_error > 0.5
-
-
-@pytest.mark.parametrize("law", adaptive.LAWS)
-def test_compiled_and_plain_loops_give_the_same_bits(law):
-    p = LAWS[law].build(defaults(CONTROLLER))
-    truth = adaptive.draw(1, 1)
-    results = []
-    for compiled in (True, False):
-        s = LAWS[law].module.initial(p, Start(0.5, 0.5, 0.5, 0.0, 0.0))
-        motion = adaptive.MOTIONS["three sines"]
-        valve = adaptive.Valve(bench.plant(truth, p.period), truth)
-        results.append(adaptive.loop_for(law, compiled)(p, s, motion, valve, 0.5, 2, 100))
-    assert len(results[0].z1) == len(results[0].theta) == 2
-    assert all(np.array_equal(*pair) for pair in zip(*results, strict=True))

@@ -4,7 +4,6 @@
 
 import numpy as np
 import pytest
-import scipy.linalg
 
 from research.theorems import loop
 from valve_control.control.laws import dcarc
@@ -41,16 +40,6 @@ def test_poles_are_those_of_the_law_s_own_step(gains):
         assert radius == pytest.approx(abs(stability.dominant_pole(LAWS["dcarc"], p, plant)), abs=1e-9)
 
 
-def test_the_weight_of_the_gain_is_a_factor_of_the_loop():
-    """A law whose θ1 rests at 0.4 on a valve has the poles of the same law on one of 1.4 times the gain."""
-    p = loop.params({})
-    plant = valve.design(loop.model(1.1, 0.9), loop.PERIOD, 10.0, 0.8, valve.FREE, IDEAL)
-    shifted = p._replace(theta_initial=p.theta_initial._replace(gain=0.4))
-    valves = loop.Valves(*(np.array([v]) for v in (0.8, 1.1, 0.9, 0.0, 0.0)))
-    found = loop.radii(loop.feedback(p), loop.sampled(valves), valves.gain * 1.4)[0]
-    assert found == pytest.approx(abs(stability.dominant_pole(LAWS["dcarc"], shifted, plant)), abs=1e-9)
-
-
 def test_no_valve_that_small_gain_proves_stable_has_a_pole_outside(study):
     for cell in study.cells:
         proven = cell.bound < 1.0
@@ -80,33 +69,3 @@ def test_what_the_observer_shows_of_a_disturbance_is_the_law_s_own_answer():
         late = np.arange(2000, 3000)  # whole cycles
         found = 2.0 * np.mean(seen[late] * np.conj(rotation**late))
         assert found == pytest.approx(expected, rel=1e-6)
-
-
-def test_the_regressor_is_as_late_as_the_observer_at_low_frequencies():
-    """Both lags have the same mean delay: their phases differ by the third order of the frequency only."""
-    p = loop.params({})
-    slow = np.array([0.5, 1.0, 2.0])
-    z = loop.circle(slow)
-    shown = loop.shown_disturbance(loop.feedback(p), loop.sampled(NOMINAL), np.ones(1), z)[0]
-    late = p.lag_share / (z - 1.0 + p.lag_share)
-    difference = np.abs(np.angle(shown / late))
-    assert difference[1] < 1e-3
-    assert np.log2(difference[2] / difference[1]) == pytest.approx(3.0, abs=0.2)
-
-
-def test_valves_are_sampled_as_the_matrix_exponential_says():
-    valves = loop.draw(2, 2, "wide", 1.0)
-    plants = loop.sampled(valves)
-    for i in range(2):
-        a, b = valve.realisation(loop.model(valves.poles[i], valves.zeros[i]))
-        assert np.allclose(
-            plants.a[i, :4, :4] + np.outer(plants.b[i, :4] * valves.gain[i] * valves.flow[i], np.eye(4)[0]),
-            scipy.linalg.expm(a * loop.PERIOD),
-        )
-        assert loop.model(valves.poles[i], valves.zeros[i]).static_gain == pytest.approx(
-            loop.model(1.0, 1.0).static_gain
-        )
-        assert np.max(np.abs(np.linalg.eigvals(a))) == pytest.approx(
-            valves.poles[i] * np.max(np.abs(np.roots(loop.model(1.0, 1.0).denominator)))
-        )
-        assert b[1] > 0.0

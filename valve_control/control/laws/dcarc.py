@@ -753,7 +753,7 @@ def build(values: Values) -> Params:
     except dcarc_design.DesignError as error:
         raise ParameterError(str(error)) from error
     return Params(
-        **made._asdict(),
+        **made,
         presliding=Bristles(*numbers(values, "dcarc.presliding")),
         standstill_rate=number(values, "dcarc.standstill_rate"),
         theta_initial=start,

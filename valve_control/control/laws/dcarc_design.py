@@ -7,7 +7,7 @@ The derivation is in docs/explanation/laws/dcarc.md.
 
 import functools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -45,26 +45,6 @@ HUM_WIDTH = 1.0  # Hz  on both sides of a hum's frequency, within which the obse
 
 class DesignError(ValueError):
     """A law that cannot be designed as asked; the message is one sentence."""
-
-
-class Design(NamedTuple):
-    """What ``design`` makes; fields as in ``dcarc.Params``."""
-
-    model: Model
-    kalman: KalmanGains
-    turn: Turn
-    feedback: Row
-    waiting: Past
-    unexplained: float
-    wanted: Combination
-    full: Move
-    half: Move
-    model_voltage: Combination
-    standing: Rest
-    moving: Rest
-    lag_share: float
-    jitter: float
-    equivalent: Equivalent
 
 
 class Observed(NamedTuple):
@@ -535,8 +515,8 @@ def design(
     coil: float,
     dead_time: float,
     hum: float = 0.0,
-) -> Design:
-    """The law for ``model`` at ``period`` [s], with a reading ``delay`` [s] late.
+) -> dict[str, Any]:
+    """Fields of ``dcarc.Params`` for ``model`` at ``period`` [s], with a reading ``delay`` [s] late.
 
     ``noise`` and ``resolution`` [V]: of the LVDT; ``input_noise`` [V], ``disturbance_rate`` [V/√s]: what the
     Kalman filter assumes of the input; ``voltage_weight``: of LQR; ``coil`` [s]: lag of the force behind the
@@ -569,7 +549,7 @@ def design(
     acting, late = held, float(o.b[n + 1]) if m else 0.0
     if dead_time > 0.0:
         acting, late = wait.input, wait.late
-    return Design(
+    return dict(
         model=Model(
             row0=rows[0],
             row1=rows[1],

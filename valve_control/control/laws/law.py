@@ -19,43 +19,13 @@ TERMS = ("reference", "z1", "unsaturated_voltage")  # that each law has
 Terms = tuple[float, float, float]  # c0 [V/V], c1 [s] and c2 [s²] of a voltage for a motion
 
 
-def unchanged(params: Any, state: Any) -> tuple[Any, Any]:
-    """``params`` and ``state`` themselves, for a law whose step is linear as it is."""
-    return params, state
-
-
 def by_slow_motion(params: Any) -> None:
     """None, for a law that knows no more of a valve than (1) with what ``Law.model`` gives."""
-
-
-def always(params: Any) -> bool:
-    """True, for a law that reshapes its command with every set of gains."""
-    return True
 
 
 def reshaped_steady_command(params: Any, start: Start) -> float:
     """Command [V] under which the reshaped reference goes on as at ``start``."""
     return reshaping.steady_command(params.reshaping, start.measurement, start.velocity)
-
-
-def as_it_is(model: TransferFunction, period: float) -> TransferFunction:
-    """``model`` itself, for a law that takes any."""
-    return model
-
-
-def nothing_else(values: Values, plant: Values) -> Values:
-    """No parameters, for a law that knows no more of a valve than its model."""
-    return {}
-
-
-def no_feedforward(values: Values, terms: Terms, part: float) -> Values:
-    """No parameters, for a law without a feedforward."""
-    return {}
-
-
-def no_starts(values: Values, scale: Scale) -> list[Values]:
-    """No gains, for a law whose search begins with those that there are."""
-    return []
 
 
 class Law(NamedTuple):
@@ -73,30 +43,31 @@ class Law(NamedTuple):
     sampled_model: Callable[[Any], tuple[Floats, Floats] | None] = by_slow_motion
     # the same of a valve with a coil, where the controller's values describe one; None: they do not
     known_valve: Callable[[Values], tuple[Floats, Floats] | None] = by_slow_motion
-    reshapes: Callable[[Any], bool] = always  # whether a set of Params follows a reshaped reference
+    # whether a set of Params follows a reshaped reference
+    reshapes: Callable[[Any], bool] = lambda params: True
     # command under which the law goes on as it is, from which a takeover lets the real one fade in
     steady_command: Callable[[Any, Start], float] = reshaped_steady_command
     # time [s] by which the spool is behind a ramp of the command by design; see ``reshaping.lead``
     lag: Callable[[Values], float] = reshaping.lag
     form: tuple[str, ...] = ()  # parameters after whose change the state means something else
     dead_time: str = ""  # parameter of the dead time [s] of LVDT and bus that it knows of; "": none
-    linear: Callable[[Any, Any], tuple[Any, Any]] = unchanged  # Params and State with a linear step
+    # Params and State with a linear step
+    linear: Callable[[Any, Any], tuple[Any, Any]] = lambda params, state: (params, state)
     free: tuple[Free, ...] = ()  # numbers that a tuner may choose, besides those of the reshaping
-    variants: tuple[Mapping[str, Value], ...] = (
-        {},
-    )  # settings with each of which it is tuned, the best wins
+    # settings with each of which it is tuned, the best wins
+    variants: tuple[Mapping[str, Value], ...] = ({},)
     # the model of a valve as the law takes it at a sample period [s], for its parameters of that name
-    of_model: Callable[[TransferFunction, float], TransferFunction] = as_it_is
+    of_model: Callable[[TransferFunction, float], TransferFunction] = lambda model, period: model
     # other properties of a valve, as the law's parameters: from the controller's values and the valve's
-    of_plant: Callable[[Values, Values], Values] = nothing_else
+    of_plant: Callable[[Values, Values], Values] = lambda values, plant: {}
     # gains with which a search begins: from the controller's values and the scale of the valve
-    starts: Callable[[Values, Scale], list[Values]] = no_starts
+    starts: Callable[[Values, Scale], list[Values]] = lambda values, scale: []
     # gains of the loop (c0 + c1·s + c2·s²)/(λ·s) for a law that has these: from the controller's values, the
     # three terms, λ [s] and the cutoff [Hz] of the derivative; raises ParameterError
     inverse: Callable[[Values, Terms, float, float], Values] | None = None
     # its feedforward c0·x + c1·dx/dt + c2·d²x/dt², or a part of c0 alone: from the values, the
     # terms and the part
-    feedforward: Callable[[Values, Terms, float], Values] = no_feedforward
+    feedforward: Callable[[Values, Terms, float], Values] = lambda values, terms, part: {}
     remedy: str = "shorten sample_period or lower the gains"  # of a loop that is unstable
     package: str = plugins.PACKAGE  # that brings it
 

@@ -71,8 +71,3 @@ def step(
 def pull(voltage: float, asked: float) -> float:
     """Part of the ``voltage`` [V] beyond what a reading asks for, ``asked`` [V] on the identified valve."""
     return voltage - (asked * SPREAD if (voltage - asked) * asked > 0.0 else asked / SPREAD)
-
-
-def agrees(p: lvdt.Params, s: State) -> bool:
-    """Whether the voltage is about that which the reading asks for."""
-    return abs(s.pull) < AGREED * p.disturbance

@@ -75,11 +75,6 @@ def decayed(p: Params, o: Offset) -> Offset:
     return Offset((o.value + slope * p.period) * p.decay, (o.rate - slope * p.period / p.time) * p.decay)
 
 
-def begun(s: State, offset: float) -> State:
-    """State after the law's first step, which differs by ``offset`` [V] from the voltage until now."""
-    return s._replace(voltage=Offset(offset, 0.0), taking_over=False)
-
-
 def resumed(params: Any, former: Any) -> Any:
     """Parameters with which a law starts from the estimates of the ``former`` state, of whichever law."""
     estimates = getattr(former, "theta", None)

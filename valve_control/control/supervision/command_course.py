@@ -126,10 +126,7 @@ def taken(p: Params, s: State | None, command: float, sent: float, stamp: float)
         return begun(p, command, sent, stamp)
     if elapsed <= 0.0:  # of the same moment: the newest counts
         smooth, quick, exact = moved(s.smooth, command), moved(s.quick, command), moved(s.exact, command)
-        return State(
-            command, sent, s.stamp, s.interval, s.change, s.known, s.leapt, smooth, quick, exact,
-            s.held_error, s.smooth_error, s.quick_error, s.exact_error,
-        )  # fmt: skip
+        return s._replace(command=command, sent=sent, smooth=smooth, quick=quick, exact=exact)
     interval = (
         max(elapsed, p.period)
         if s.known == 1
@@ -181,10 +178,7 @@ def taken(p: Params, s: State | None, command: float, sent: float, stamp: float)
 
 def postponed(s: State, now: float) -> State:
     """State whose newest command, which has no time stamp, is of ``now`` [s]."""
-    return State(
-        s.command, now, now, s.interval, s.change, s.known, s.leapt, s.smooth, s.quick, s.exact,
-        s.held_error, s.smooth_error, s.quick_error, s.exact_error,
-    )  # fmt: skip
+    return s._replace(sent=now, stamp=now)
 
 
 def faded(error: float, missed: float, worst: float) -> float:

@@ -8,55 +8,7 @@ from typing import NamedTuple
 from valve_control.control.commands.scenarios import stroke
 from valve_control.control.plant.amplifier import saturate
 from valve_control.control.supervision.bumpless_transfer import Offset
-from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number
-
-CONDITIONS = (
-    ReportedCondition(
-        ("command_missing",),
-        "degraded",
-        "no command yet",
-        "the spool is held at its position",
-        "start the upper level",
-    ),
-    ReportedCondition(
-        ("command_silent",),
-        "degraded",
-        "command is silent, the spool returns to neutral",
-        "the command is older than `command_timeout`, or its publisher has left",
-        "upper level; 0.0 holds the last command for ever",
-    ),
-    ReportedCondition(
-        ("command_refused",),
-        "degraded",
-        "command … refused",
-        "NaN or infinite; the last command stays in force",
-        "upper level",
-    ),
-    ReportedCondition(
-        ("command_refused",),
-        "degraded",
-        "trajectory point … refused",
-        "not exactly one position, velocity and acceleration; NaN or infinite; a time stamp "
-        "before the time stamp of the last point, which stays in force",
-        "upper level; see [A trajectory instead of a command]"
-        "(../howto/cascade.md#a-trajectory-instead-of-a-command)",
-    ),
-    ReportedCondition(
-        ("command_both",),
-        "degraded",
-        "spool_command is ignored while spool_trajectory commands",
-        "publishers send on both topics",
-        "stop one of them; commands count once the trajectory is silent",
-    ),
-    ReportedCondition(
-        ("command_limited",),
-        "degraded",
-        "command … limited",
-        "beyond ±`command_limit`",
-        "upper level, or the limit",
-    ),
-)
 
 
 class Params(NamedTuple):
@@ -114,16 +66,6 @@ def taken(p: Params, s: State, value: float, now: float) -> State:
     if not math.isfinite(value):
         return s._replace(gone_since=None)
     return State(saturate(value, p.limit), now + p.period, True, None, s.homing, s.origin)
-
-
-def left(s: State, now: float) -> State:
-    """State after the upper level has left at ``now`` [s]: its command counts as silent at once."""
-    return s if s.gone_since is not None else s._replace(gone_since=now)
-
-
-def limited(p: Params, s: State) -> State:
-    """State ``s`` under another limit of the command."""
-    return s if s.value is None else s._replace(value=saturate(s.value, p.limit))
 
 
 def welcomed(p: Params, s: State, reading: float, now: float) -> State:

@@ -10,8 +10,7 @@ while; the pause before the law tries again is twice as long each time.
 
 from typing import NamedTuple
 
-from valve_control.control.supervision import conditions, lock_in, oscillation
-from valve_control.control.supervision.conditions import ReportedCondition
+from valve_control.control.supervision import lock_in, oscillation
 
 BEGUN = 4.0  # cycles in a row from which they are measured
 SATURATED = 0.9  # of the limit of the voltage
@@ -25,35 +24,6 @@ EXACT = 1.0  # Hz  by which the measured frequency of a hum may differ from that
 REPORTED_LAG = 0.003  # s
 LIMIT_CYCLE = "oscillation"
 HUM = "lvdt_hum"
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("oscillation",),
-        "degraded",
-        "voltage oscillates at … Hz with … V: limit cycle of law and valve",
-        "eight or more even cycles of the voltage in a row, for 0.3 s or more, of at least "
-        '±`oscillation_limit`, that the command does not have; see "Limit cycles"',
-        "lower the gains; look at `valve-control simulate` with the identified valve",
-    ),
-    ReportedCondition(
-        ("lvdt_hum",),
-        "degraded",
-        "voltage oscillates at … Hz with … V: … mV at … Hz (mains: … Hz) come in through the LVDT reading",
-        "the same cycles, at 50, 60, 100 or 120 Hz (within 1 Hz), or with a reading above four "
-        'times the model\'s answer to the voltage; see "Limit cycles"',
-        "shield and earth of the LVDT cable; supply of its converter",
-    ),
-    ReportedCondition(
-        ("limit_cycle",),
-        "safe",
-        "… at the limit of the voltage; readings answer the voltage about … ms later than the "
-        "model: dead time",
-        "twelve or more of these cycles in a row, for 0.6 s or more, reach 0.9 of `u_max` under a "
-        "calm command; 0 V for `lvdt.hold_off`, each time twice as long",
-        "lower the gains; find the cause of a dead time: driver, filter of the converter, network",
-    ),
-)
 
 
 class Params(NamedTuple):
@@ -114,11 +84,6 @@ def lasts(s: oscillation.State) -> bool:
     """Whether cycles at the limit of the voltage have gone on for long enough, under a calm command."""
     calm = s.turns <= 2.0 * CALM * s.cycles and s.departures <= CALM * s.cycles
     return calm and s.cycles >= STOPPED and s.maximum_time - s.since >= LEAST
-
-
-def lasting(s: oscillation.State) -> float:
-    """Time [s] for which the cycles stay reported."""
-    return max(conditions.LATCH, 2.0 * s.length)
 
 
 def paused(p: Params, s: Pause, now: float) -> Pause:

@@ -12,7 +12,6 @@ import math
 from typing import NamedTuple
 
 from valve_control.control.supervision import plausibility
-from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.control.supervision.plausibility import NOTHING as EMPTY
 from valve_control.control.supervision.plausibility import SeenBlock, Sums
 from valve_control.parameter import Values
@@ -27,19 +26,6 @@ LARGE = (
 CHANGED = 1.5  # factor that is reported
 BACK = 1.3  # factor below which the report ends
 LASTING = 1.0  # of the moved time FORGET, for which it must be there
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("lvdt_gain",),
-        "degraded",
-        "LVDT readings over the voltage are … times those of the start: LVDT or valve drifts",
-        "on slow motions (below about 2 Hz) the gain from the voltage to the reading has changed "
-        "by a factor of 1.5 since the start, for 2 s of motion; voltage and reading alone cannot "
-        "separate LVDT and valve; `~/reset` starts anew; not with `lvdt.disturbance: 0.0`",
-        "compare the LVDT with its stops and its centre; check the supply pressure and the solenoids",
-    ),
-)
 
 
 class Params(NamedTuple):

@@ -14,7 +14,6 @@ import math
 from typing import NamedTuple
 
 from valve_control.control.supervision import plausibility
-from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values
 
 MAINS = (50.0, 60.0)  # Hz
@@ -26,19 +25,6 @@ CALMED = 0.75  # of that amplitude, below which the report ends
 SHARE = 0.3  # of the mean square of the differences between blocks, at least
 COMMAND = 0.25  # of the amplitude of the reading that the command may have, at most
 SHORT = 2.05  # blocks in a cycle, at least; with longer blocks nothing is measured
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("lvdt_mains",),
-        "degraded",
-        "LVDT reading has a hum of … mV at … Hz (mains: … Hz)",
-        "for 1.2 s the spectrum of the reading has a line within 0.5 Hz of 50 or 60 Hz that the command "
-        "does not have; its amplitude is at least 10 mV and at least one step of the converter; only at rest "
-        "or in slow motion; not with `lvdt.disturbance: 0.0`",
-        "shield and earth of the LVDT cable; supply of its converter; `dcarc.hum`",
-    ),
-)
 
 
 class Params(NamedTuple):

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from valve_control.control.laws import linearisation
-from valve_control.control.supervision import conditions
-from valve_control.control.supervision.conditions import ReportedCondition
+from valve_control.control.supervision.record import Memory, clear, report
 from valve_control.parameter import Values, number
 
 ASSUMPTIONS = {
@@ -17,33 +16,6 @@ ASSUMPTIONS = {
     "burden": "observer and compensation make good more disturbance than the spread of the weights allows: "
     "the valve has left the assumed model, friction, flow force or offset",
 }  # what is said when a term of the law is above the one of its name with _bound
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("saturation",),
-        "degraded",
-        "saturated for more than … s",
-        "the time at ±`u_max` exceeds the time below it by `saturation_limit`; estimates and "
-        "integrator stand still",
-        "command too fast, `reshaping.*`, jammed spool",
-    ),
-    ReportedCondition(
-        ("assumptions",),
-        "degraded",
-        "V2 is above its guaranteed bound",
-        "the valve has left the assumed ranges of θ or the disturbance bound",
-        'see "The assumption monitor"',
-    ),
-    ReportedCondition(
-        ("law_not_finite",),
-        "safe",
-        "the control law … produced NaN or infinity after … s; … raised … (file, line) after … s",
-        "its gains are far from any stable set, or the law of a package is wrong; 0 V for "
-        "`lvdt.hold_off`, each time twice as long",
-        "the gains; the named line",
-    ),
-)
 
 
 class Params(NamedTuple):
@@ -63,24 +35,18 @@ def design(values: Values) -> Params:
     )
 
 
-def step(
-    p: Params, saturated_for: float, said: conditions.State, voltage: float
-) -> tuple[float, conditions.State]:
-    """Take in the ``voltage`` [V] of one sample.
-
-    ``saturated_for`` [s] is remembered between two samples; ``said`` is what is reported.
-    """
+def step(p: Params, m: Memory, voltage: float) -> None:
+    """Take in the ``voltage`` [V] of one sample."""
     if abs(voltage) >= p.u_max:
-        saturated_for = min(saturated_for + p.period, 2.0 * p.saturation_limit)
-        if saturated_for > p.saturation_limit:
-            text = f"saturated for more than {p.saturation_limit:g} s"
-            said = conditions.report(said, "saturation", text)
-    elif saturated_for > 0.0:
+        m.saturated_for = min(m.saturated_for + p.period, 2.0 * p.saturation_limit)
+        if m.saturated_for > p.saturation_limit:
+            report(m, "saturation", f"saturated for more than {p.saturation_limit:g} s")
+        m.counts["saturated"] += 1
+    elif m.saturated_for > 0.0:
         # Noise lifts single samples off the limit: time without saturation counts against time with it.
-        saturated_for = max(0.0, saturated_for - p.period)
-        if saturated_for == 0.0:
-            said = conditions.clear(said, "saturation")
-    return saturated_for, said
+        m.saturated_for = max(0.0, m.saturated_for - p.period)
+        if m.saturated_for == 0.0:
+            clear(m, "saturation")
 
 
 def watched(fields: Sequence[str]) -> tuple[int, str] | None:

@@ -17,8 +17,6 @@ moved by several steps:
 import math
 from typing import NamedTuple
 
-from valve_control.control.supervision.conditions import ReportedCondition
-
 SOUND = ""
 PACE = 0.0032  # s  time constant of the speed that the next reading should have
 RECALL = 0.3  # s  for which a surprise is remembered
@@ -43,37 +41,6 @@ TEXTS = {
     "disagrees": "LVDT readings disagree with the voltage",
     "doubted": "LVDT readings were wrong; motion has not shown yet that they agree with the voltage again",
 }
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("lvdt_not_finite", "lvdt_not_finite_bridged", "lvdt_out_of_range", "lvdt_out_of_range_bridged"),
-        "safe after `lvdt.hold_samples`",
-        "LVDT readings are not finite / out of range",
-        "NaN, infinite, or beyond ±`lvdt.limit`",
-        "cable, supply, scaling of the driver",
-    ),
-    ReportedCondition(
-        ("lvdt_jump", "lvdt_jump_bridged"),
-        "safe after `lvdt.hold_samples`",
-        "LVDT readings jump faster than the spool can move, or are late by … ms",
-        "the reading moves faster than `lvdt.max_rate`, or it differs from the extrapolated "
-        "previous readings by more than `lvdt.tolerance` and by more than twice the recent "
-        "difference; no new trial before `lvdt.hold_off` has passed",
-        "loose contact; driver and network; a faster valve needs a larger `lvdt.max_rate`",
-    ),
-    ReportedCondition(
-        ("lvdt_frozen", "lvdt_frozen_bridged"),
-        "safe",
-        "LVDT readings stand still while the voltage moves",
-        "`lvdt.frozen_samples` equal readings. Noisy readings: while the voltage moved by "
-        "`lvdt.frozen_voltage`. Readings of a quiet converter: while the spool must have moved, by "
-        "three converter steps because it stopped faster than force and friction can stop it, or by "
-        "three times `lvdt.tolerance` because the voltage pulls it by more than `lvdt.disturbance`",
-        "frozen driver or jammed spool; the valve stays off until the reading changes, or until "
-        "you deactivate and activate",
-    ),
-)
 
 
 class Params(NamedTuple):

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 from valve_control.control.laws import velocity
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.supervision import lvdt, plausibility, rate
-from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number, numbers, word
 
 TACHOMETER_CUTOFF = 50.0  # Hz, of the velocity with which a law takes over
@@ -22,45 +21,6 @@ REST_LIMIT = 0.5  # s  ... but a noisy reading must not keep the valve off for e
 DISTURBANCE = 5.0  # V  for standing readings, where readings shall not be compared with the voltage
 PROBATION = 1.2  # times the largest disturbance: the voltage while readings are doubted
 DOUBTS = ("lvdt_jump", "lvdt_disagrees")  # after which readings are not believed because they are smooth
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("lvdt_missing",),
-        "safe",
-        "no LVDT reading yet; LVDT readings come every … ms, sample_period is … ms",
-        "no message has arrived on `spool_position`, or they have had a wrong period since the activation",
-        "start the driver; compare topic, namespace, QoS (`ros2 topic info -v`); `sample_period`",
-    ),
-    ReportedCondition(
-        ("lvdt_silent",),
-        "safe",
-        "LVDT is silent for more than … samples",
-        "no reading in time; detected by a watchdog that each reading re-arms",
-        "cable, driver; `lvdt.hold_samples` if the driver's pauses are harmless",
-    ),
-    ReportedCondition(
-        ("stalled",),
-        "safe",
-        "the controller's process stood still for more than … samples",
-        "this process got no CPU; messages that arrived meanwhile are stale and dropped",
-        "`realtime.*`; fewer other processes",
-    ),
-    ReportedCondition(
-        ("lvdt_silent",),
-        "safe",
-        "… LVDT readings lost in a row",
-        "the number of lost readings exceeds `lvdt.hold_samples`",
-        "network, queue of the driver",
-    ),
-    ReportedCondition(
-        ("lvdt_bridged",),
-        "degraded",
-        "LVDT readings lost: bridged",
-        "up to `lvdt.hold_samples` readings were lost; the law was stepped over them with the correct time",
-        "network; look at `lvdt_lost`",
-    ),
-)
 
 
 class Params(NamedTuple):
@@ -86,14 +46,6 @@ class State(NamedTuple):
     doubt: plausibility.Doubt
 
 
-class SpoolEstimate(NamedTuple):
-    """What the believable readings say of the spool."""
-
-    measurement: float  # V  the last one, NaN before the first
-    velocity: velocity.State
-    evidence: plausibility.State | None  # whether they answer the voltage
-
-
 NOTHING = State(0, 0, "", plausibility.TRUST)
 
 
@@ -109,23 +61,16 @@ def model_of(values: Values, params: Any) -> tuple[float, float, float] | None:
     return None if min(a1, a0, b0) <= 0.0 else (a1, a0, b0)
 
 
-def comparison(values: Values, params: Any) -> plausibility.Params | None:
-    """Watch that compares readings with the voltage; None: no watch."""
-    model = model_of(values, params)
-    if model is None or number(values, "lvdt.disturbance") == 0.0:
-        return None
-    return plausibility.design(
-        model,
-        number(values, "sample_period"),
-        number(values, "lvdt.slow"),
-        number(values, "lvdt.excitation"),
-    )
-
-
 def design(values: Values, params: Any) -> Params:
     """Params from the controller's values, and ``params`` of its law."""
     period = number(values, "sample_period")
-    a1, a0, b0 = model_of(values, params) or (0.0, 0.0, 0.0)
+    model = model_of(values, params)
+    a1, a0, b0 = model or (0.0, 0.0, 0.0)
+    comparison = None
+    if model is not None and number(values, "lvdt.disturbance") != 0.0:
+        comparison = plausibility.design(
+            model, period, number(values, "lvdt.slow"), number(values, "lvdt.excitation")
+        )
     return Params(
         judge=lvdt.Params(
             limit=number(values, "lvdt.limit"),
@@ -140,7 +85,7 @@ def design(values: Values, params: Any) -> Params:
             disturbance=min(number(values, "lvdt.disturbance") or DISTURBANCE, 0.5 * number(values, "u_max")),
         ),
         pace=rate.Params(period, number(values, "lvdt.period_limit")),
-        comparison=comparison(values, params),
+        comparison=comparison,
         tachometer=velocity.design(TACHOMETER_CUTOFF, period),
         hold_samples=int(number(values, "lvdt.hold_samples")),
         recovery_samples=int(number(values, "lvdt.recovery_samples")),
@@ -148,54 +93,6 @@ def design(values: Values, params: Any) -> Params:
         hold_off_limit=number(values, "lvdt.hold_off_limit"),
         period=period,
     )
-
-
-def refused(s: State, lost: int) -> State:
-    """State after a reading, ``lost`` ones after the last, that could not be believed."""
-    return s._replace(bridged=s.bridged + 1 + lost, sound=0)
-
-
-def switched_off(
-    p: Params,
-    s: State,
-    evidence: plausibility.State | None,
-    name: str,
-    now: float,
-    answered: bool,
-    leapt: bool,
-) -> State:
-    """State with the voltage off since ``now`` [s] because of ``name``.
-
-    ``answered``: readings answer the voltage; ``leapt``: they had leapt when this happened.
-    """
-    doubt = s.doubt
-    if (leapt or name in DOUBTS) and p.comparison is not None and answered:
-        doubt = plausibility.doubted(doubt, evidence, now, p.hold_off, p.hold_off_limit)
-    return s._replace(sound=0, blocked=name, doubt=doubt)
-
-
-def recovered(
-    p: Params, s: State, m: SpoolEstimate, reading: float, anew: bool, now: float
-) -> tuple[State, SpoolEstimate]:
-    """State after one more sound reading while the voltage is off; not ``blocked`` once there are enough.
-
-    ``anew``: the count begins with this one. At the end the motion is that of the reading before: the law
-    takes in the present one in its first step.
-    """
-    sound = 0 if anew else s.sound
-    if sound == 0:
-        evidence = m.evidence
-        if p.comparison is not None:
-            usual = 0.0 if evidence is None else evidence.shown.usual
-            evidence = plausibility.initial(p.comparison, reading, 0.0, usual)
-        m = SpoolEstimate(reading, velocity.State(reading, 0.0), evidence)
-    resting = abs(m.velocity.velocity) <= REST or sound * p.period >= REST_LIMIT
-    s = s._replace(sound=sound + 1)
-    if s.sound < p.recovery_samples or not resting or now < s.doubt.until:
-        return s, SpoolEstimate(reading, velocity.step(p.tachometer, m.velocity, reading), m.evidence)
-    if m.evidence is not None:
-        m = m._replace(evidence=plausibility.anew(m.evidence))
-    return s._replace(blocked=""), m
 
 
 def weighed(

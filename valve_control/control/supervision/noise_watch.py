@@ -13,7 +13,6 @@ import math
 from typing import NamedTuple
 
 from valve_control.control.supervision import plausibility
-from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number
 
 SHARE = 1.954  # mean |D| over σ
@@ -26,19 +25,6 @@ ROUNDING = 0.3  # of the converter's step, noise that rounding gives in motion
 FLOOR = 0.005  # V  noise below is none that is reported
 LASTING = 2.0  # windows in a row
 CALMED = 0.75  # of the reported noise, below which the word ends
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("lvdt_noise",),
-        "degraded",
-        "LVDT noise is … mV rms, … mV at the start",
-        "for 0.5 s the noise is more than four times that of the first second of control, and "
-        "more than 5 mV; it is computed from the second differences of the readings, without the "
-        "part that the voltage explains; not with `lvdt.disturbance: 0.0`",
-        "cable, shield and converter of the LVDT; lower cut-off of the law's velocity filter",
-    ),
-)
 
 
 class Params(NamedTuple):
@@ -88,16 +74,11 @@ def step(p: Params, s: State, seen: plausibility.SeenBlock) -> State:
     if s.windows < LEARNT:
         usual = s.usual + (noise - s.usual) / (s.windows + 1.0)
         return State(0.0, 0.0, 0.0, slow, s.windows + 1.0, usual, noise, 0.0)
-    limit = allowed(s, seen.grain)
+    limit = max(FLOOR, LOUDER * max(s.usual, ROUNDING * seen.grain))
     loud = 0.0
     if noise > (CALMED * limit if s.loud >= LASTING else limit):
         loud = min(LASTING, s.loud + 1.0)
     return State(0.0, 0.0, 0.0, slow, s.windows, s.usual, noise, loud)
-
-
-def allowed(s: State, grain: float) -> float:
-    """Noise [V] from which it is reported, with a converter's step ``grain`` [V]."""
-    return max(FLOOR, LOUDER * max(s.usual, ROUNDING * grain))
 
 
 def found(p: Params, s: State) -> bool:

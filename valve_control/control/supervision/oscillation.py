@@ -75,40 +75,35 @@ def step(p: Params, s: State, time: float, voltage: float, command: float) -> St
         elif beyond < -COMMAND_TURN:
             command_rising, command_extreme = -command_rising, command
             turns += 1.0
-    beyond = s.rising * (voltage - s.extreme)
+    rising, extreme, start, maximum_time, fall = s.rising, s.extreme, s.start, s.maximum_time, s.fall
+    cycles, since, length, height = s.cycles, s.since, s.length, s.height
+    beyond = rising * (voltage - extreme)
     if beyond > 0.0:
-        return State(
-            s.rising, voltage, s.start, s.maximum_time, s.fall, s.cycles, s.since, s.length, s.height,
-            command, moving, command_rising, command_extreme, turns, departures,
-        )  # fmt: skip
-    if beyond >= -(p.back if p.back > p.amplitude else p.amplitude):
+        extreme = voltage
+    elif beyond >= -(p.back if p.back > p.amplitude else p.amplitude):
         if command == s.command and moving == s.moving:
             return s
-        return State(
-            s.rising, s.extreme, s.start, s.maximum_time, s.fall, s.cycles, s.since, s.length,
-            s.height, command, moving, command_rising, command_extreme, turns, departures,
-        )  # fmt: skip
-    cycles, since, length, height = s.cycles, s.since, s.length, s.height
-    maximum_time, fall = s.maximum_time, s.fall
-    if s.rising < 0.0:
-        fall = s.start - s.extreme
     else:
-        this_length = time - maximum_time
-        this_height = 0.5 * (fall + s.extreme - s.start)
-        maximum_time = time
-        if (
-            abs(this_length - length) <= LENGTH * length + 1.5 * p.period
-            and abs(this_height - height) <= HEIGHT * height
-            and this_height >= 2.0 * p.amplitude
-        ):
-            cycles += 1.0
-            length += WEIGHT * (this_length - length)
-            height += WEIGHT * (this_height - height)
+        if rising < 0.0:
+            fall = start - extreme
         else:
-            cycles, since, length, height = 1.0, maximum_time - this_length, this_length, this_height
-            turns, departures = 0.0, 0.0
+            this_length = time - maximum_time
+            this_height = 0.5 * (fall + extreme - start)
+            maximum_time = time
+            if (
+                abs(this_length - length) <= LENGTH * length + 1.5 * p.period
+                and abs(this_height - height) <= HEIGHT * height
+                and this_height >= 2.0 * p.amplitude
+            ):
+                cycles += 1.0
+                length += WEIGHT * (this_length - length)
+                height += WEIGHT * (this_height - height)
+            else:
+                cycles, since, length, height = 1.0, maximum_time - this_length, this_length, this_height
+                turns, departures = 0.0, 0.0
+        rising, start, extreme = -rising, extreme, voltage
     return State(
-        -s.rising, voltage, s.extreme, maximum_time, fall, cycles, since, length, height,
+        rising, extreme, start, maximum_time, fall, cycles, since, length, height,
         command, moving, command_rising, command_extreme, turns, departures,
     )  # fmt: skip
 

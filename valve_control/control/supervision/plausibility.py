@@ -17,9 +17,6 @@ See docs/explanation/plausibility.md; answer.py judges a voltage beyond every di
 import math
 from typing import NamedTuple
 
-from valve_control.control.supervision import lvdt
-from valve_control.control.supervision.conditions import ReportedCondition
-
 # In units of 1/√a0, the valve's own time
 BLOCK = 0.14  # readings are averaged over this
 LOW_PASS = 0.4  # time constant of each of the three stages
@@ -42,25 +39,6 @@ TEXTS = {
     "wrong_sign": "wrong sign",
     "unanswered": "the spool does not follow it: supply off, stuck spool or dead LVDT",
 }
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("lvdt_disagrees",),
-        "safe",
-        "LVDT readings disagree with the voltage: wrong sign; gain about …; the spool does not follow it",
-        "see [Does the reading answer the voltage?](../explanation/plausibility.md)",
-        "supply of valve and amplifier; wiring and scaling of the LVDT; polarity of the amplifier; "
-        "then `~/reset`",
-    ),
-    ReportedCondition(
-        ("lvdt_doubted",),
-        "degraded",
-        "LVDT readings were wrong; motion has not shown yet …",
-        "trial after a jump or a disagreement, with at most 1.2 times `lvdt.disturbance` as voltage",
-        "move the valve for half a second",
-    ),
-)
 
 
 class Params(NamedTuple):
@@ -150,15 +128,6 @@ class Doubt(NamedTuple):
 TRUST = Doubt(0.0, 0.0, 0.0)
 
 
-def seen(standing: lvdt.Standing, doubt: Doubt, voltage: float, shown: Shown, command: float) -> SeenBlock:
-    """Data of a block for the watches beside this check; ``voltage`` [V] was on before its last reading.
-
-    ``command`` [V]: as the law got it, NaN without one.
-    """
-    known = command if math.isfinite(command) else 0.0
-    return SeenBlock(standing.second, standing.grain, voltage, doubt.times > 0.0, shown, known)
-
-
 NOTHING = Sums(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -200,12 +169,7 @@ def initial(p: Params, reading: float, voltage: float, usual: float = 0.0) -> St
 
 def anew(s: State) -> State:
     """State ``s`` with its filters and usual slope, and no other evidence."""
-    b = s.shown
-    shown = Shown(
-        b.y1, b.y2, b.y3, b.velocity, b.u1, b.u2, b.u3, b.u4, b.warm, 0.0,
-        NOTHING, 0.0, 0.0, b.usual,
-    )  # fmt: skip
-    return State(s.held, s.reading, s.voltage, shown)
+    return s._replace(shown=s.shown._replace(moved=0.0, sums=NOTHING, against=0.0, wrong_sign=0.0))
 
 
 def step(p: Params, s: State, reading: float, voltage: float, samples: float) -> State:
@@ -323,23 +287,16 @@ def ratio(p: Params, s: Shown, d: Doubt) -> float:
     return found if s.moved >= 2.0 * AGREED or max(found, 1.0 / found) < CLEAR else 0.0
 
 
-def agrees(found: float) -> bool:
-    """Whether a known ``ratio`` is that of a sound LVDT."""
-    return max(found, 1.0 / found) < SAME
-
-
 def verdict(p: Params, s: State, d: Doubt) -> tuple[str, Doubt]:
     """Name of what is wrong with the readings after a block, "": nothing, and the doubt that remains."""
-    shown = s.shown
-    if shown.wrong_sign > 0.0:
+    if s.shown.wrong_sign > 0.0:
         return "wrong_sign", d
-    if d.times > 0.0:
-        found = ratio(p, shown, d)
-        if found > 0.0:
-            if agrees(found):
-                return "", TRUST
-            return "gain", d
-    return "", d
+    found = ratio(p, s.shown, d) if d.times > 0.0 else 0.0
+    if found <= 0.0:
+        return "", d
+    if max(found, 1.0 / found) < SAME:
+        return "", TRUST
+    return "gain", d
 
 
 def words(name: str, p: Params, s: State, d: Doubt) -> str:

@@ -16,8 +16,6 @@ them on together. Each voltage but the last of a burst is then replaced before t
 
 from typing import NamedTuple
 
-from valve_control.control.supervision.conditions import ReportedCondition
-
 WINDOW = 0.1  # s; a reading at its end that is late by 1 ms is 1 %
 WINDOWS = 9  # the middle of them counts
 RIGHT = 2  # windows in a row that end an alarm
@@ -33,28 +31,6 @@ ANY = 1.0  # limit from which on no period is too short: it is set where reading
 CROWDED_FOR = 10  # windows of bursts, each twice as long as WINDOW, before bursts are reported
 AT_ONCE = 2  # the same while the voltage oscillates, of which they may be the cause
 CALMED = 0.75  # of a limit, below which it counts as kept again
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("lvdt_rate", "lvdt_period"),
-        "degraded beyond 2 %, safe beyond `lvdt.period_limit`",
-        "LVDT readings come every … ms, sample_period is … ms",
-        "the driver's rate differs from the design rate of the law; the median of nine windows of "
-        "0.1 s counts, at the start the first 20 readings; two right windows end it; a deviation "
-        "within the limit is reported after 2 s",
-        "`sample_period`, or the driver's rate",
-    ),
-    ReportedCondition(
-        ("lvdt_bursts",),
-        "degraded",
-        "LVDT readings come in bursts of about …, one burst in … ms",
-        "for 2 s, or for 0.4 s while the voltage oscillates, more than 40 % of the readings come within 0.4 "
-        "of `sample_period` after the reading before",
-        "driver, gateway or network that collects readings; only the last voltage of a burst "
-        "acts, so the loop has the dead time of a burst",
-    ),
-)
 
 
 class Params(NamedTuple):
@@ -131,11 +107,6 @@ def _judged(p: Params, s: State) -> State:
 def interrupted(s: State) -> State:
     """State after a silence, whose time says nothing of the period, nor do readings that make it good."""
     return s._replace(time=0.0, periods=0, quick=0, passing=BURST + 1)
-
-
-def anew(s: State) -> State:
-    """State for another sample period: the means are judged by it from now on."""
-    return UNKNOWN._replace(means=s.means)
 
 
 def is_right(p: Params, s: State) -> bool:

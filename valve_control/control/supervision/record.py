@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, make_dataclass
 from difflib import get_close_matches
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from valve_control.control.laws import command_lead
 from valve_control.control.laws import velocity as tachometer
@@ -17,7 +17,6 @@ from valve_control.control.supervision import (
     bumpless_transfer,
     command_course,
     command_watch,
-    conditions,
     cycle_watch,
     lock_in,
     lvdt,
@@ -31,6 +30,7 @@ from valve_control.control.supervision import trajectory as points
 from valve_control.control.supervision.watch_table import REPORTING
 from valve_control.parameter import ParameterError, one_of
 
+LATCH = 1.0  # s for which a passing event stays reported
 HEAD = ("sample", "mode", "command", "measurement", "voltage", "offset")
 NEVER = -1.0  # s
 AT_REST = tachometer.State(0.0, 0.0)
@@ -59,6 +59,13 @@ class Mode(IntEnum):
     OK = 0
     DEGRADED = 1
     SAFE = 2
+
+
+class Reported(NamedTuple):
+    """The reported sentences and events; both dictionaries are replaced, never changed in place."""
+
+    texts: dict[str, str]  # sentence by name, in the order in which they came
+    expiry: dict[str, float]  # s, by name, until when a passing event stays reported
 
 
 @dataclass(slots=True)
@@ -96,7 +103,7 @@ class Fixed:
     probe: lock_in.State = lock_in.NOTHING  # of these cycles
     source: str = ""  # of cycles that go on: oscillation, lvdt_hum, none
     pause: cycle_watch.Pause = cycle_watch.NEVER  # after cycles at the limit of the voltage
-    said: conditions.State = conditions.NOTHING
+    said: Reported = Reported({}, {})
     motion: points.Motion = NO_MOTION  # wanted at this sample
     fading: bool = True  # whether an offset of ``transfer`` may be other than 0
     jumped_until: float = NEVER  # s  until when a jump that was bridged counts, -1: there is none
@@ -129,37 +136,36 @@ def node_only(function: F) -> F:
     return function
 
 
-def tell(m: Memory, said: conditions.State) -> None:
-    """Report what is ``said``, and nothing else."""
-    if said.texts is not m.said.texts:
-        m.changed = True
-    m.said = said
-
-
 @node_only
 def report(m: Memory, name: str, text: str) -> None:
     """Report ``text`` under ``name``, unless something is reported there already."""
-    tell(m, conditions.report(m.said, name, text))
+    if name not in m.said.texts:
+        m.said = Reported({**m.said.texts, name: text}, m.said.expiry)
+        m.changed = True
 
 
 @node_only
 def clear(m: Memory, name: str) -> None:
     """Report nothing under ``name`` any more."""
     if name in m.said.texts:
-        tell(m, conditions.clear(m.said, name))
+        texts = {key: text for key, text in m.said.texts.items() if key != name}
+        m.said = Reported(texts, {key: end for key, end in m.said.expiry.items() if key != name})
+        m.changed = True
 
 
 @node_only
-def latch(m: Memory, name: str, text: str, lasting: float = conditions.LATCH) -> None:
+def latch(m: Memory, name: str, text: str, lasting: float = LATCH) -> None:
     """Report an event of this moment for ``lasting`` [s]."""
-    tell(m, conditions.latch(m.said, name, text, m.now, lasting))
+    report(m, name, text)
+    m.said = Reported(m.said.texts, {**m.said.expiry, name: m.now + lasting})
 
 
 @node_only
 def expire(m: Memory) -> None:
     """Report those events no more that are over."""
-    if m.said.expiry:
-        tell(m, conditions.step(m.said, m.now))
+    for name, end in m.said.expiry.items():
+        if m.now > end:
+            clear(m, name)
 
 
 @node_only

@@ -9,25 +9,12 @@ makes no even cycles. Time in which the spool so rests counts, other time counts
 from typing import NamedTuple
 
 from valve_control.control.supervision import answer, plausibility
-from valve_control.control.supervision.conditions import ReportedCondition
 from valve_control.parameter import Values, number
 
 AWAY = 0.3  # of the largest disturbance, from the command
 AGAINST = 0.5  # of the largest disturbance
 LASTING = 1.0  # s
 BACK = 0.2  # s that one second of other time counts back
-
-
-CONDITIONS = (
-    ReportedCondition(
-        ("spool_sticks",),
-        "degraded",
-        "the spool rests … V from the command and … V from the voltage: friction, supply, or dead LVDT",
-        "for 1 s, of which other time takes back a fifth, the reading rests (`lvdt.slow`) by more than 0.3 "
-        "times `lvdt.disturbance` away from the command, or by more than half of it away from the voltage",
-        "temperature and cleanliness of the oil; supply of valve and amplifier; LVDT",
-    ),
-)
 
 
 class Params(NamedTuple):

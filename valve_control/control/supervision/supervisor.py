@@ -28,7 +28,6 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.plant.amplifier import saturate
 from valve_control.control.supervision import (
     bumpless_transfer,
-    command_watch,
     cycle_watch,
     law_watch,
     lock_in,
@@ -47,7 +46,6 @@ from valve_control.control.supervision.record import (
     forget_reported,
     latch,
     report,
-    tell,
 )
 from valve_control.parameter import Values, number, word
 
@@ -102,7 +100,7 @@ class Supervisor:
             if made.lvdt.comparison is None:
                 end_reported(m)
         if former is not None and made.lvdt.period != former.lvdt.period:
-            m.pace = rate.anew(m.pace)
+            m.pace = rate.UNKNOWN._replace(means=m.pace.means)
             clear(m, "lvdt_rate")
             clear(m, "lvdt_bursts")
         if (
@@ -119,7 +117,8 @@ class Supervisor:
             m.probe = lock_in.NOTHING
             m.former, m.kept = None, ("", None)
         m.voltage = saturate(m.voltage, self._watch_law.u_max)
-        m.command = command_watch.limited(made.command, m.command)
+        if m.command.value is not None:
+            m.command = m.command._replace(value=saturate(m.command.value, made.command.limit))
         self._use_law(values, params, None if former is None else former.law)
 
     def _use_law(self, values: Values, params: Any, former: Any) -> None:
@@ -271,12 +270,7 @@ class Supervisor:
     def _observe(self, m: Memory, terms: Any, voltage: float) -> None:
         """Watch a step of the law for what is only reported."""
         self._terms = terms
-        p = self._watch_law
-        m.saturated_for, said = law_watch.step(p, m.saturated_for, m.said, voltage)
-        if said is not m.said:
-            tell(m, said)
-        if abs(voltage) >= p.u_max:
-            m.counts["saturated"] += 1
+        law_watch.step(self._watch_law, m, voltage)
         if self._watched is not None:
             at, text = self._watched
             if terms[at] > terms[at + 1]:

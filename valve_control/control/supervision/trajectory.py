@@ -28,17 +28,11 @@ class State(NamedTuple):
 
 def refusal(positions: int, velocities: int, accelerations: int) -> str:
     """One sentence about a point with so many entries, "" if there is one of each."""
-    counts = (positions, velocities, accelerations)
-    if counts == (1, 1, 1):
+    if (positions, velocities, accelerations) == (1, 1, 1):
         return ""
-    names = ("position", "velocity", "acceleration")
-    plural = ("positions", "velocities", "accelerations")
-    first, second, third = (
-        f"{n} {one if n == 1 else more}" for n, one, more in zip(counts, names, plural, strict=True)
-    )
     return (
-        f"trajectory point with {first}, {second} and {third} refused, it must have one of each; "
-        "the last one holds"
+        f"trajectory point with {positions} positions, {velocities} velocities and {accelerations} "
+        "accelerations refused, it must have one of each; the last one holds"
     )
 
 

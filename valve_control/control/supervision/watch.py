@@ -28,7 +28,6 @@ from valve_control.control.supervision import (
     clock,
     command_course,
     command_watch,
-    conditions,
     cycle_watch,
     lock_in,
     lvdt,
@@ -40,6 +39,7 @@ from valve_control.control.supervision import (
 )
 from valve_control.control.supervision import trajectory as points
 from valve_control.control.supervision.record import (
+    LATCH,
     NEVER,
     Memory,
     clear,
@@ -260,7 +260,8 @@ def trajectory_gone(m: Memory) -> None:
 
 def command_gone(m: Memory) -> None:
     """Count the command as silent at once: the upper level has left."""
-    m.command = command_watch.left(m.command, m.now)
+    if m.command.gone_since is None:
+        m.command = m.command._replace(gone_since=m.now)
 
 
 def follows_trajectory(p: Params, m: Memory) -> bool:
@@ -421,7 +422,7 @@ def condition_of(fault: str) -> str:
 def refuse(p: Params, m: Memory, fault: str, lost: int) -> None:
     """Bridge a reading that cannot be believed, or switch off if there have been too many."""
     count(m, "lvdt_refused")
-    m.trust = lvdt_watch.refused(m.trust, lost)
+    m.trust = m.trust._replace(bridged=m.trust.bridged + 1 + lost, sound=0)
     if m.trust.blocked != "":
         return
     if fault == "frozen" or m.trust.bridged > p.lvdt.hold_samples:
@@ -429,7 +430,7 @@ def refuse(p: Params, m: Memory, fault: str, lost: int) -> None:
         report(m, condition_of(fault), f"{lvdt.TEXTS[fault]}{lvdt.lateness(m.judged)}")
         return
     if fault == "jump":
-        m.jumped_until = m.now + conditions.LATCH
+        m.jumped_until = m.now + LATCH
     latch(m, f"{condition_of(fault)}_bridged", f"{lvdt.TEXTS[fault]}: bridged")
 
 
@@ -458,7 +459,7 @@ def answers(p: Params, m: Memory, reading: float, samples: int) -> bool:
         p.lvdt.judge, m.response, reading, m.judged.rate, m.voltage, samples, doubted
     )
     if wrong == "" or p.lvdt.comparison is None or not p.answered:
-        if answer.agrees(p.lvdt.judge, m.response) and not doubted:
+        if abs(m.response.pull) < answer.AGREED * p.lvdt.judge.disturbance and not doubted:
             m.proven = m.law
         return True
     report(m, "lvdt_disagrees", f"{lvdt.TEXTS['disagrees']}: {plausibility.TEXTS[wrong]}")
@@ -474,7 +475,9 @@ def has_leapt(m: Memory) -> bool:
 @node_only
 def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown) -> None:
     """Let the watches of the table look at a block, at whose end ``applied`` [V] is on; it has ``shown``."""
-    seen = plausibility.seen(m.judged.standing, m.trust.doubt, applied, shown, m.effective)
+    command = m.effective if math.isfinite(m.effective) else 0.0
+    last, doubted = m.judged.standing, m.trust.doubt.times > 0.0
+    seen = plausibility.SeenBlock(last.second, last.grain, applied, doubted, shown, command)
     reported_of(p.watches, m, seen)
 
 
@@ -553,11 +556,8 @@ def judge_cycles(p: Params, m: Memory, cycle: oscillation.State, high: float) ->
 @node_only
 def tell_cycles(m: Memory, cycle: oscillation.State, found: lock_in.LockInResult) -> None:
     """Report ``cycle`` under the name of its source."""
-    text, lasting = cycle_watch.text(m.source, cycle, found), cycle_watch.lasting(cycle)
-    if m.source == cycle_watch.HUM:
-        latch(m, "lvdt_hum", text, lasting)
-    else:
-        latch(m, "oscillation", text, lasting)
+    text, lasting = cycle_watch.text(m.source, cycle, found), max(LATCH, 2.0 * cycle.length)
+    latch(m, "lvdt_hum" if m.source == cycle_watch.HUM else "oscillation", text, lasting)
 
 
 # Off and on again
@@ -574,13 +574,14 @@ def leave_the_finite(p: Params, m: Memory) -> None:
 
 def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
     """Give 0 V because of ``name``; ``leapt``: readings had leapt."""
-    trust = lvdt_watch.switched_off(p.lvdt, m.trust, m.evidence, name, m.now, p.answered, leapt)
-    if trust.doubt.times != m.trust.doubt.times:
+    doubt = m.trust.doubt
+    if (leapt or name in lvdt_watch.DOUBTS) and p.lvdt.comparison is not None and p.answered:
+        doubt = plausibility.doubted(doubt, m.evidence, m.now, p.lvdt.hold_off, p.lvdt.hold_off_limit)
         clear(m, "lvdt_doubted")
-    m.trust = trust
+    m.trust = m.trust._replace(sound=0, blocked=name, doubt=doubt)
     count(m, "safe_stops")
     m.voltage = p.neutral
-    m.former = m.law if trust.doubt.times == 0.0 else m.proven
+    m.former = m.law if doubt.times == 0.0 else m.proven
     m.law = None
     m.response = answer.NOTHING
     m.transfer = bumpless_transfer.NOTHING
@@ -596,18 +597,30 @@ def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
 
 
 def recover(p: Params, m: Memory, reading: float, anew: bool) -> bool:
-    """Whether the law has the valve again: enough sound readings have come, and the spool is at rest."""
-    before = lvdt_watch.SpoolEstimate(m.measurement, m.velocity, m.evidence)
-    trust, motion = lvdt_watch.recovered(p.lvdt, m.trust, before, reading, anew, m.now)
-    if trust.blocked == "":
-        clear(m, m.trust.blocked)
-    m.trust = trust
-    m.measurement = motion.measurement
-    m.velocity = motion.velocity
-    m.evidence = motion.evidence
-    if trust.blocked != "":
+    """Whether the law has the valve again: enough sound readings have come, and the spool is at rest.
+
+    ``anew``: the count begins with this one. At the end the motion is that of the reading before: the law
+    takes in the present one in its first step.
+    """
+    sound = 0 if anew else m.trust.sound
+    if sound == 0:
+        m.measurement = reading
+        m.velocity = velocity.State(reading, 0.0)
+        if p.lvdt.comparison is not None:
+            usual = 0.0 if m.evidence is None else m.evidence.shown.usual
+            m.evidence = plausibility.initial(p.lvdt.comparison, reading, 0.0, usual)
+    speed = abs(m.velocity.velocity)
+    resting = speed <= lvdt_watch.REST or sound * p.lvdt.period >= lvdt_watch.REST_LIMIT
+    m.trust = m.trust._replace(sound=sound + 1)
+    if m.trust.sound < p.lvdt.recovery_samples or not resting or m.now < m.trust.doubt.until:
+        m.measurement = reading
+        m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, reading)
         return False
-    if trust.doubt.times > 0.0:
+    if m.evidence is not None:
+        m.evidence = plausibility.anew(m.evidence)
+    clear(m, m.trust.blocked)
+    m.trust = m.trust._replace(blocked="")
+    if m.trust.doubt.times > 0.0:
         report(m, "lvdt_doubted", lvdt.TEXTS["doubted"])
     welcome(p, m, reading)
     take_over(p, m, m.former, False)
@@ -723,7 +736,8 @@ def control(p: Params, m: Memory, reading: float) -> bool:
     m.used = m.command.value
     if m.transfer.taking_over:
         _, _, first = law_step(law, m.law, wanted, reading, 0.0)
-        m.transfer = bumpless_transfer.begun(m.transfer, m.voltage - first.unsaturated_voltage)
+        offset = bumpless_transfer.Offset(m.voltage - first.unsaturated_voltage, 0.0)
+        m.transfer = m.transfer._replace(voltage=offset, taking_over=False)
         m.fading = True
     voltage, after, terms = law_step(law, m.law, wanted, reading, m.transfer.voltage.value)
     if not are_finite(voltage, terms):

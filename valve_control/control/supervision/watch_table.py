@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""The table of the watches that report, and the conditions of all watches.
+"""The table of the watches that report.
 
 A watch of this table looks at each block of the plausibility check and reports a condition; the law goes on.
 The other watches are called by name in watch.py or supervisor.py, because more than a sentence depends on
 them: which reading or command counts, what limits the voltage, or when the law starts again.
 
-A new watch that reports is one file and one row of ``REPORTING``. Memory, snapshot, diagnostics and the page
-docs/reference/modes.md follow from the row; exported C has no such watch. The file has ``Params``, ``State``,
-``NOTHING`` (the state at the start), ``CONDITIONS`` and these functions:
+A new watch that reports is one file, one row of ``REPORTING`` and its line in docs/reference/modes.md. Memory
+and snapshot follow from the row; exported C has no such watch. The file has ``Params``, ``State``,
+``NOTHING`` (the state at the start) and these functions:
 
 design(values, check)   Params from the controller's values and the Params of the plausibility check
 step(p, s, seen)        the state after one more block, of which ``seen`` is a ``plausibility.SeenBlock``
@@ -22,20 +22,7 @@ import collections
 import types
 from typing import Any, NamedTuple
 
-from valve_control.control.supervision import (
-    command_watch,
-    cycle_watch,
-    gain_watch,
-    hum_watch,
-    law_watch,
-    lvdt,
-    lvdt_watch,
-    noise_watch,
-    plausibility,
-    rate,
-    stick_watch,
-)
-from valve_control.control.supervision.conditions import ReportedCondition
+from valve_control.control.supervision import gain_watch, hum_watch, noise_watch, plausibility, stick_watch
 from valve_control.parameter import Values
 
 
@@ -44,12 +31,7 @@ class Watch(NamedTuple):
 
     module: types.ModuleType
     slot: str  # of the memory, which holds its State
-
-    @property
-    def condition(self) -> str:
-        """Name of its only condition."""
-        ((name,),) = (condition.names for condition in self.module.CONDITIONS)
-        return str(name)
+    condition: str  # that it reports
 
     def stopped(self, state: Any) -> Any:
         """State after the voltage was switched off."""
@@ -62,32 +44,12 @@ class Watch(NamedTuple):
 
 
 REPORTING = (
-    Watch(noise_watch, "noise"),
-    Watch(stick_watch, "stick"),
-    Watch(gain_watch, "gain"),
-    Watch(hum_watch, "hum"),
-)
-MODULES = (
-    *(lvdt, lvdt_watch, rate, plausibility, *(watch.module for watch in REPORTING)),
-    *(command_watch, cycle_watch, law_watch),
+    Watch(noise_watch, "noise", "lvdt_noise"),
+    Watch(stick_watch, "stick", "spool_sticks"),
+    Watch(gain_watch, "gain", "lvdt_gain"),
+    Watch(hum_watch, "hum", "lvdt_mains"),
 )
 Params = collections.namedtuple("Params", [watch.slot for watch in REPORTING])  # type: ignore[misc]
-OF_NODES = (
-    ReportedCondition(
-        ("command_publishers", "trajectory_publishers", "lvdt_publishers", "voltage_publishers"),
-        "degraded",
-        "2 publishers on spool_command (spool_trajectory, spool_position, valve_voltage); … of the "
-        "publishers on … have another message type than …",
-        "another node publishes too, or with a message type that is not read; a publisher that was "
-        "killed stays in the graph for up to 20 s",
-        "`ros2 topic info -v`",
-    ),
-)  # what is no watch's, but that of who runs the supervisor
-
-
-def conditions() -> tuple[ReportedCondition, ...]:
-    """All conditions, watch by watch."""
-    return (*(condition for module in MODULES for condition in module.CONDITIONS), *OF_NODES)
 
 
 def design(values: Values, check: plausibility.Params | None) -> Any:
