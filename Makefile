@@ -34,7 +34,7 @@ $(STAMP): requirements.txt $(ROS_WHEELS) setup.py
 	touch $@
 
 demo: $(STAMP)  ## the cascade over DDS with the gains of the paper and tuned ones; figure in out/
-	@$(PYTHON) -m valve_control.nodes.harness.demo $(ARGS)
+	@$(PYTHON) -m research.campaigns.demo $(ARGS)
 
 faults: $(STAMP)  ## fault campaign over DDS: reaction times, out/faults.json (about 9 min)
 	@$(PYTHON) -m research.campaigns.faults $(ARGS)

@@ -28,10 +28,10 @@ from rcl_interfaces.srv import DescribeParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64, Float64MultiArray
 
+from research.campaigns import demo
+from research.campaigns.processes import process
 from valve_control.control.supervision.record import HEAD
 from valve_control.nodes.adapter import SAMPLES
-from valve_control.nodes.harness import demo
-from valve_control.nodes.harness.processes import process
 
 
 def test_one_reading_one_step_one_voltage(ros, tmp_path):
@@ -193,7 +193,7 @@ def test_a_run_of_the_demo_in_which_the_machine_stood_still_or_lagged_is_not_one
 
 def test_interrupted_demo_leaves_no_process(ros, tmp_path):
     child = subprocess.Popen(
-        [sys.executable, "-m", "valve_control.nodes.harness.demo", "--out", str(tmp_path)],
+        [sys.executable, "-m", "research.campaigns.demo", "--out", str(tmp_path)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

@@ -21,7 +21,7 @@ from launched import command as launch
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from valve_control.nodes.harness.processes import process
+from research.campaigns.processes import process
 
 SIGNALS = ["command", "position", "error", "voltage", "term.unsaturated_voltage"]
 

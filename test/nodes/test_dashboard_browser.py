@@ -17,8 +17,8 @@ from browser import PHONE, needs_browser, until, window
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
+from research.campaigns.processes import process
 from valve_control.nodes.adapter import SAMPLES
-from valve_control.nodes.harness.processes import process
 
 pytestmark = [pytest.mark.browser, needs_browser]
 

@@ -20,6 +20,7 @@ sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "drivers"))
 from examples import serial_card
 
 from research.campaigns.lockstep import CONFIG
+from research.campaigns.processes import Listener, node_arguments, node_values, process
 from valve_control.control.drivers.device import Device, Side
 from valve_control.control.drivers.driver import Reading, patience
 from valve_control.control.drivers.scaling import Scale
@@ -29,7 +30,6 @@ from valve_control.control.simulation import offline
 from valve_control.control.supervision.journal import COLUMNS, HEAD
 from valve_control.nodes.adapter import EVERYTHING
 from valve_control.nodes.device_controller import DeviceController
-from valve_control.nodes.harness.processes import Listener, node_arguments, node_values, process
 from valve_control.nodes.valve_driver import ValveDriver
 
 STEP = 10.0 / 32767  # V

@@ -152,7 +152,7 @@ def test_ctrl_c_during_the_imports_is_quiet(name, count, tmp_path):
 STOPPED = """
 import os, signal, sys
 from pathlib import Path
-from valve_control.nodes.harness.processes import run_tool
+from research.campaigns.processes import run_tool
 __name__ = "valve_control.program"
 
 def below_a_text():

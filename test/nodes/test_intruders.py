@@ -10,8 +10,8 @@ from bench import controller, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float32
 
+from research.campaigns.processes import process
 from valve_control.nodes import right_of_way
-from valve_control.nodes.harness.processes import process
 
 
 class Ear:

@@ -13,8 +13,8 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from std_msgs.msg import Float64
 
+from research.campaigns.processes import process
 from valve_control.nodes.controller_node import Controller
-from valve_control.nodes.harness.processes import process
 
 
 def state(ros, node):

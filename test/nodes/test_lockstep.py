@@ -19,9 +19,9 @@ from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Float64
 
 from research.campaigns.lockstep import CONFIG, run_lockstep
+from research.campaigns.processes import process
 from valve_control.control.laws.registry import LAWS
 from valve_control.nodes.adapter import SAMPLES
-from valve_control.nodes.harness.processes import process
 
 SHORT = "0.3"  # s of valve time, in which the command has begun to move
 

@@ -14,10 +14,10 @@ from bench import LIMIT, get_double, spin_until
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 
+from research.campaigns.processes import process
 from valve_control.control.supervision.record import Mode
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
 from valve_control.nodes.controller_node import TURNS, Controller
-from valve_control.nodes.harness.processes import process
 
 PROMPT = 2.0  # s for the end of a process, most of it Python's
 FLOOD = """

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_parameters
 from std_srvs.srv import SetBool, Trigger
 
-from valve_control.nodes.harness.processes import wait_until
+from research.campaigns.processes import wait_until
 from valve_control.nodes.services import Reception, Unwatched
 
 CALLS = 200

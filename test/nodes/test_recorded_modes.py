@@ -12,7 +12,7 @@ from bench import set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float64
 
-from valve_control.nodes.harness.processes import process
+from research.campaigns.processes import process
 from valve_control.recordings import analysis_report
 from valve_control.recordings.analysis import analyze, as_dict
 from valve_control.recordings.recording import load

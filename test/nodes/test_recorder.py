@@ -26,8 +26,8 @@ from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
 from std_msgs.msg import Float64, String
 
+from research.campaigns.processes import process
 from valve_control.nodes.definitions import Definitions, message_class
-from valve_control.nodes.harness.processes import process
 from valve_control.nodes.recorder import Recorded, merged
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.errors import BagError

@@ -9,12 +9,12 @@ from bench import call
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.parameter import parameter_value_to_python
 
+from research.campaigns.processes import node_arguments, process
 from valve_control.axis.tables import ROS_NODES
 from valve_control.control.parameters import files
 from valve_control.control.parameters.ros_file import is_of_ros
 from valve_control.nodes import NODES
 from valve_control.nodes.adapter import plain
-from valve_control.nodes.harness.processes import node_arguments, process
 
 # Small, large and negative numbers, words that look like something else, lists.
 CHANGED = {

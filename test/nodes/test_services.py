@@ -12,9 +12,9 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from research.campaigns.processes import process
 from valve_control.control.parameters import build, files, ros_file
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.nodes.harness.processes import process
 from valve_control.parameter import defaults, updated
 
 

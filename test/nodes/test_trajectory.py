@@ -16,11 +16,11 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from research.campaigns.processes import process
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND
 from valve_control.control.supervision.watch import BOTH
 from valve_control.nodes.adapter import decoded_point
-from valve_control.nodes.harness.processes import process
 from valve_control.parameter import defaults, updated
 
 NUMBERS = st.lists(st.floats(-1e6, 1e6), max_size=4)

@@ -11,7 +11,7 @@ from bench import run_tool, spin_until
 from std_msgs.msg import Float64
 
 from research.campaigns.joiners import crowd
-from valve_control.nodes.harness.processes import process
+from research.campaigns.processes import process
 from valve_control.nodes.transport import (
     ANYWHERE,
     THIS_HOST,

@@ -10,10 +10,10 @@ from contextlib import ExitStack, contextmanager
 from bench import spin_until
 from std_msgs.msg import Float64
 
+from research.campaigns.processes import process
 from valve_control.design.commissioning.bench import SafetyLimits
 from valve_control.nodes import adapter, commissioning_client
 from valve_control.nodes.adapter import UNKNOWN, UNNUMBERED
-from valve_control.nodes.harness.processes import process
 
 # The node as it is, with the number that rmw gives where there is none.
 NODE = """
