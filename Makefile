@@ -40,7 +40,7 @@ $(DEV): $(STAMP) requirements-dev.txt
 	@touch $@
 
 demo: $(STAMP)  ## the cascade over DDS with the gains of the paper and tuned ones; figure in out/
-	@$(PYTHON) -m valve_control.nodes.harness.demo $(ARGS)
+	@$(PYTHON) -m research.campaigns.demo $(ARGS)
 
 faults: $(DEV)  ## fault campaign over DDS: reaction times, out/faults.json (about 9 min)
 	@$(PYTHON) -m research.campaigns.faults $(ARGS)

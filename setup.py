@@ -16,7 +16,6 @@ NODES = [
     "axis_controller",
     "dashboard",
 ]
-TOOLS = ["demo"]
 
 setup(
     name=NAME,
@@ -81,7 +80,6 @@ setup(
         "console_scripts": [
             "valve-control = valve_control.cli:main",
             *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
-            *(f"{tool} = {NAME}.nodes.harness.{tool}:main" for tool in TOOLS),
         ]
     },
 )

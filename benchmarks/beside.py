@@ -31,10 +31,10 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
 from benchmarks.batch import machine
+from research.campaigns.processes import process
 from valve_control import outputs
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import SAMPLES, encoded
-from valve_control.nodes.harness.processes import process
 from valve_control.nodes.transport import RANGE, use_own_profile
 
 WAYS: dict[str, dict[str, list[str]]] = {

@@ -136,8 +136,8 @@ def table(found: dict[tuple[str, int, str], dict[str, tuple[float, float, float]
 
 def over_dds(folder: Path, message: str) -> dict[str, dict[str, Any]]:
     """Ratios of each set of tuned gains on strokes and a sine over DDS, and the longest pause [s]."""
-    from valve_control.nodes.harness import demo
-    from valve_control.nodes.harness.processes import bar
+    from research.campaigns import demo
+    from research.campaigns.processes import bar
 
     found: dict[str, dict[str, Any]] = {}
     shapes = {
@@ -186,7 +186,7 @@ def _options() -> Parser:
 
 def _work(arguments: argparse.Namespace) -> None:
     if arguments.dds:
-        from valve_control.nodes.harness.processes import run_tool
+        from research.campaigns.processes import run_tool
 
         folder, live = Path("out/command_times"), dict[str, Any]()
 

@@ -36,12 +36,12 @@ from rclpy.signals import SignalHandlerOptions
 
 from benchmarks import solenoid
 from benchmarks.invented import invented, motions
+from research.campaigns.processes import Listener, process, wait_until
 from valve_control import outputs
 from valve_control.control.parameters import build, ros_file
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.simulation import offline
 from valve_control.nodes.adapter import EVERYTHING
-from valve_control.nodes.harness.processes import Listener, process, wait_until
 from valve_control.nodes.transport import RANGE, use_own_profile
 from valve_control.parameter import Value, Values, defaults, number, updated
 

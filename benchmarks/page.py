@@ -22,9 +22,9 @@ import numpy as np
 import psutil
 
 from benchmarks.batch import machine
+from research.campaigns import demo
+from research.campaigns.processes import bar, process, run_tool, wait_until
 from valve_control import outputs
-from valve_control.nodes.harness import demo
-from valve_control.nodes.harness.processes import bar, process, run_tool, wait_until
 
 WANTED = {"lost": 0.0, "latency_p50_ratio": 1.2, "page_process_cores": 0.5, "frames_per_second": 20.0}
 READY = 20.0  # s for the page to show itself

@@ -8,4 +8,3 @@ RUN = os.getppid() if "PYTEST_XDIST_WORKER" in os.environ else os.getpid()
 WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 OWN = 1 + 2 * ((RUN + 23 * WORKER) % 48)  # of a worker's tests, whose processes inherit it: 1 to 95
 BESIDE = OWN + 1  # of the tools that its tests run
-FOUR = range(97, 101)  # of the cascades of one test

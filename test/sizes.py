@@ -17,5 +17,4 @@ INTERRUPTED_RUNS = 100 if FULL else 40
 INTERRUPTED_COMMANDS = 20 if FULL else 8  # of each kind
 INTERRUPTED_IMPORTS = 20 if FULL else 4  # of each program
 LOCKSTEP = 20 if FULL else 3  # s of valve time, for each law
-STARTS = 10 if FULL else 2  # of each law beside a loaded machine
 KILLED_RECORDERS = 20 if FULL else 10

@@ -98,78 +98,7 @@ def test_overshoot_of_steps_is_told_and_braking_in_time_takes_it_away(run, confi
     assert low < json.loads(done.out)["steps"]["overshoot"] < high
 
 
-def test_compare_lists_every_controller(run, tmp_path):
-    done = run("compare", "--duration", "1.0", "--json", tmp_path / "c.json")
-    assert done.status == 0, done.err
-    result = json.loads((tmp_path / "c.json").read_text())
-    assert [r["controller"] for r in result["runs"]] == [
-        "arc",
-        "oarc",
-        "dcarc",
-        "pid",
-        "compensator",
-        "open_loop",
-    ]
-    assert result["paper"]["arc"]["c_u"] == 0.416
-    assert done.out.count("paper") == 3
-
-
 def test_warning_when_period_and_weight_do_not_fit(run):
     done = run("simulate", "--controller", "oarc", "--set", "oarc.z2_weight=1.0", "--json", "-")
     assert done.status == 0
     assert "oarc.z2_weight" in done.err and "oarc.z2_weight" in json.loads(done.out)["warning"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--controller", "lqr"], ["lqr", "arc"]),
-        (["--set", "arc.k1=fast"], ["arc.k1", "fast", "double"]),
-        (["--set", "arc.kk1=5.0"], ["arc.kk1", "arc.k1"]),
-        (["--set", "arc.k1"], ["name=value"]),
-        (["--set", "arc.gamma=[1.0, 2.0]"], ["arc.gamma", "4"]),
-        (["--set", "oarc.theta_min=[200.0, 500.0, 900.0, 0.0]"], ["oarc.theta_min[0]", "above"]),
-        (["--set", "arc.theta_min=[5.0, 500.0, -1.0, 0.0]"], ["arc.theta_min[2]", "positive"]),
-        (["--sample-period", "0"], ["sample_period", "between"]),
-        (["--sample-period", "0.01"], ["reshaping.natural_frequency", "below"]),
-        (["--command", "none.csv"], ["none.csv", "cannot be read"]),
-        (["--command", "words.csv"], ["words.csv", "one number a line"]),
-        (["--command", "empty.csv"], ["empty.csv"]),
-        (["--command", "nan.csv"], ["nan.csv", "nan", "entry 2"]),
-        (["--command", "flat.npy"], ["flat.npy"]),
-        (["--command", "plane.npy"], ["plane.npy", "(3, 3)"]),
-        (["--params-file", "none.yaml"], ["none.yaml", "cannot be read"]),
-        (["--params-file", "bad.yaml"], ["bad.yaml", "YAML"]),
-        (["--params-file", "wrong.yaml"], ["wrong.yaml", "arc.k1", "120.0, not 120"]),
-        (["--params-file", "flat.yaml"], ["flat.yaml", "ros__parameters"]),
-        (["--json", "no/such/folder/out.json"], ["out.json", "no folder"]),
-        (["--figure", "."], [".", "folder"]),
-        (["--set", "cycle=0.5"], ["cycle", "takes"]),
-        (["--set", "valve=custom", "--set", "denominator=[1.0, 1.0]"], ["order 2 to 4"]),
-        (["--set", "pid.break_frequency=0.5"], ["pid.break_frequency", "negative"]),
-    ],
-)
-def test_bad_input_is_one_sentence(run, tmp_path, arguments, words):
-    (tmp_path / "words.csv").write_text("one\ntwo\n")
-    (tmp_path / "empty.csv").write_text("")
-    (tmp_path / "nan.csv").write_text("1.0\nnan\n")
-    (tmp_path / "flat.npy").write_bytes(b"not numpy")
-    np.save(tmp_path / "plane.npy", np.zeros((3, 3)))
-    (tmp_path / "bad.yaml").write_text("a: [1, 2\n")
-    (tmp_path / "flat.yaml").write_text("controller: {arc: 1}\n")
-    (tmp_path / "wrong.yaml").write_text("controller:\n  ros__parameters:\n    arc: {k1: 120}\n")
-    done = run("simulate", *arguments)
-    assert done.status == 2
-    assert done.out == ""
-    lines = done.err.strip().splitlines()
-    assert len(lines) == 1, done.err
-    for word in words:
-        assert word in lines[0]
-
-
-def test_help_shows_examples_and_defaults(run):
-    done = run("--help")
-    assert done.status == 0 and "examples:" in done.out
-    assert "--params-file" in run("simulate", "--help").out
-    assert "arc.epsilon" in run("parameters", "arc").out
-    assert "valve_driver: serial.port" in run("parameters", "serial.port").out

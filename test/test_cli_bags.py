@@ -198,7 +198,6 @@ def test_a_real_bag_with_a_mapped_field(run, tmp_path):
         (["replay", "{arc}", "--mode", "backwards"], ["backwards", "shadow"]),
         (["replay", "{arc}", "--mode", "what-if", "--set", "amplitude=1"], ["recorded command", "amplitude"]),
         (["analyze", "{both}", "--csv", "x.csv", "--html", "x_arm.csv"], ["x_arm.csv", "two outputs"]),
-        (["replay", "{arc}", "--mode", "live", "--rate", "0"], ["--rate"]),
         (["compare", "{arc}", "nothing"], ["nothing"]),
         (["compare", "{arc}", "--seed", "3"], ["--seed", "simulation"]),
         (["compare", "--html", "x.html"], ["--html", "bags"]),

@@ -83,7 +83,6 @@ def table():
     for bad in map(str.split, POLYNOMIALS):
         lines.append(["compensator", "--numerator", *bad, "--denominator", "1", "58", "1650"])
         lines.append(["compensator", "--numerator", "1500", "--denominator", "1", *bad])
-    lines.append(["replay", "{bag}", "--mode", "live", "--rate", "0"])
     return [*lines, [], ["nothing"], ["bag"], ["bag", "eat"]]
 
 

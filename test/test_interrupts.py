@@ -106,35 +106,6 @@ def test_a_compiled_function_is_not_interrupted_while_it_makes_its_record(tmp_pa
         assert (done.returncode, done.stdout) == (0, "stopped\n"), done
 
 
-SLOW = """
-import multiprocessing, os, time
-from valve_control import interrupts
-
-class Process(multiprocessing.context.SpawnProcess):
-    def start(self):
-        super().start()
-        time.sleep(0.5)
-
-class Context(multiprocessing.context.SpawnContext):
-    Process = Process
-
-if __name__ == "__main__":
-    with interrupts.pool(3, Context()) as pool:
-        before = {child.pid for child in multiprocessing.active_children()}
-        list(pool.map(int, range(30)))
-        print(len(before), {child.pid for child in multiprocessing.active_children()} == before)
-"""
-
-
-def test_a_pool_has_all_its_processes_before_signals_come_through(tmp_path):
-    """One that is started later, when the first have nothing to do, prints a traceback at Ctrl-C."""
-    (tmp_path / "slow.py").write_text(SLOW)
-    done = subprocess.run(
-        [sys.executable, "slow.py"], capture_output=True, text=True, timeout=60, check=True, cwd=tmp_path
-    )
-    assert done.stdout == "3 True\n"
-
-
 PARTS = 4  # of the campaign, for several workers
 
 

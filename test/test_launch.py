@@ -5,13 +5,11 @@
 import importlib.util
 import subprocess
 import xml.etree.ElementTree as ET
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from launched import VARIABLE, command, filled, nodes, parameters, variables
 
-from research.campaigns import arm as campaign
 from valve_control.axis.axis_parameters import known_machine
 from valve_control.axis.tables import ROS_NODES
 from valve_control.control.laws.registry import LAWS
@@ -109,17 +107,6 @@ def test_both_axes_of_the_arm_take_their_machines_and_the_manifold_has_their_val
         assert upper["stop.controller"] == "controller"
         law = addressed(str(ROOT / "config" / "arm.yaml"), f"/{valve}/controller", ROS_NODES["controller"])
         assert law["controller"] == "pid"
-
-
-def test_the_campaign_of_the_arm_starts_its_nodes_with_their_files():
-    begun = {}
-    for program, words in campaign.commands().values():
-        space = next((word.removeprefix("__ns:=") for word in words if word.startswith("__ns:=")), "")
-        paths = [path for option, path in pairwise(words) if option == "--params-file"]
-        begun[f"{space}/{program}"] = list(map(str, paths))
-    found = dict(nodes(ET.parse(FILES["arm"]).getroot(), variables(FILES["arm"])))
-    handed = {name: [p for p in parameters(FILES["arm"], name) if ":=" not in p] for name in found}
-    assert begun == {name: list(dict.fromkeys(paths)) for name, paths in handed.items()}
 
 
 @pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="needs ros2 launch")

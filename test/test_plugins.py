@@ -110,20 +110,12 @@ def gained(free):
 NO_GAIN = "], (), build"
 BROKEN = [
     ('Law("mine"', 'Law("arc"', "the name is taken by a law of valve_control"),
-    ('Law("mine"', 'Law("My law"', "its name is 'My law'; it must be one word in lower case"),
-    ('Law("mine"', "Law(7", "left out: 'int' object has no attribute"),
-    ("import sys\n", "import sys\nimport not_there\n", "it cannot be imported: ModuleNotFoundError"),
     ("command, measurement, offset)", "command)", "its first step fails: TypeError: step() takes"),
     ("def hold(", "def held(", "its first step fails: AttributeError: module 'law_"),
-    ("    u_max: float\n", "", "its first step fails: TypeError: Params"),
-    ("State(voltage), Terms", "Terms", "its first step fails: ValueError"),
     ("command + offset", "command + float('nan')", "it must be a finite float"),
     ("    return s\n", "    return voltage\n", "its hold gives builtins.float; it must be {law}.State"),
-    ("LAW = Law(", "LAW, _ = None, Law(", "it is None; it must be a valve_control.control.laws.law.Law"),
     ("last: float", "theta: float", "there must be a parameter {name}.theta_initial"),
     (NO_GAIN, gained("1").replace("mine.k", "other.k"), "its parameter other.k must begin with '{name}.'"),
-    (NO_GAIN, NO_GAIN + ', dead_time="mine.t"', "there must be a parameter {name}.t"),
-    (NO_GAIN, gained('Free("mine.j", 0.1, 1.0)'), "there must be a parameter {name}.j"),
 ]
 
 
@@ -148,26 +140,6 @@ def test_a_broken_law_is_named_in_one_sentence_and_the_rest_works(beside_broken_
     assert done.stderr.count("left out") == len(BROKEN)
 
 
-UNCOMPILED = {  # voltage of a law that runs as Python: what numba has against it
-    "eval('command')": "Untyped global name 'eval'",
-    "float(isinstance(s, State))": "No implementation of function",
-    "inner()": "make.<locals>.inner is a function within a function",
-    "recursive(command)": "one of its functions calls itself",
-    "float(str(command))": "could not convert string to float",
-    "s._replace(last=command).last": "Unknown attribute '_replace' of type State",
-}
-HELPERS = """
-def make():
-    kept = []
-    def inner():
-        return float(len(kept))
-    return inner
-inner = make()
-
-def recursive(x):
-    return recursive(x - 1.0) if x > 1.0 else x
-
-def initial("""
 EACH = """
 import json, sys
 from valve_control.cli import command
@@ -187,19 +159,6 @@ def each(folder, *commands):
         capture_output=True, text=True, timeout=300, env=environment, cwd=folder,
     )  # fmt: skip
     return done.stdout.split(), done.stderr.splitlines()
-
-
-def test_a_law_that_does_not_compile_is_named_with_its_package_and_the_reason(tmp_path):
-    for letter, voltage in zip(ascii_lowercase, UNCOMPILED, strict=False):
-        text = LAW.replace("voltage = command + offset", f"voltage = {voltage} + offset")
-        package(tmp_path, text.replace("\ndef initial(", HELPERS), letter)
-    letters = ascii_lowercase[: len(UNCOMPILED)]
-    commands = [["simulate", "--controller", f"mine{letter}", "--duration", "0.1"] for letter in letters]
-    statuses, said = each(tmp_path, *commands)
-    assert statuses == ["status=2"] * len(UNCOMPILED) and len(said) == len(UNCOMPILED), said
-    for line, letter, reason in zip(said, letters, UNCOMPILED.values(), strict=True):
-        start = f"valve-control: the law 'mine{letter}' of the package package_{letter} does not compile: "
-        assert line.startswith(start + reason), line
 
 
 def test_a_law_that_fails_in_a_run_is_one_sentence_with_the_time(tmp_path):

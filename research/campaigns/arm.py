@@ -18,10 +18,10 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
+from research.campaigns.processes import parse_tool, process, run_tool, tool_options, wait_until
 from valve_control import outputs
 from valve_control.control.parameters import ros_file
 from valve_control.nodes.adapter import EVERYTHING, PolledSubscription
-from valve_control.nodes.harness.processes import parse_tool, process, run_tool, tool_options, wait_until
 
 VALVES = ("boom", "arm")
 FIGURES = ("samples", "period_ms", "latency_ms_p50", "latency_ms_p99", "overruns")

@@ -22,8 +22,8 @@ from rclpy.node import Node
 from std_msgs.msg import Float64
 
 from research.campaigns.joiners import Waits
+from research.campaigns.processes import process
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, PolledSubscription, encoded
-from valve_control.nodes.harness.processes import process
 
 DEVICES = Path(__file__).parents[2] / "test" / "drivers"
 COMMAND = 2.0  # V, held by a voltage of about as much: open loop

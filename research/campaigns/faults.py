@@ -21,11 +21,7 @@ from rclpy.parameter_client import AsyncParameterClient
 
 from research.campaigns import drivers, strangers
 from research.campaigns.joiners import LOOK, Waits, crowd, pauses
-from valve_control import outputs
-from valve_control.control.laws.registry import LAWS
-from valve_control.control.supervision import law_watch, rate
-from valve_control.nodes.adapter import EVERYTHING, PolledSubscription
-from valve_control.nodes.harness.processes import (
+from research.campaigns.processes import (
     Listener,
     bar,
     node_arguments,
@@ -35,6 +31,10 @@ from valve_control.nodes.harness.processes import (
     tool_options,
     wait_until,
 )
+from valve_control import outputs
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.supervision import law_watch, rate
+from valve_control.nodes.adapter import EVERYTHING, PolledSubscription
 
 Array = npt.NDArray[np.float64]
 CONTROLLERS = tuple(LAWS)

@@ -20,9 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import rclpy
 
-from valve_control import outputs
-from valve_control.nodes.adapter import SAMPLES, NumberSubscription
-from valve_control.nodes.harness.processes import (
+from research.campaigns.processes import (
     TOPICS,
     Listener,
     bar,
@@ -33,6 +31,8 @@ from valve_control.nodes.harness.processes import (
     tool_options,
     wait_until,
 )
+from valve_control import outputs
+from valve_control.nodes.adapter import SAMPLES, NumberSubscription
 from valve_control.nodes.transport import leave_own_profile
 from valve_control.priority import yield_cores
 

@@ -11,14 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from valve_control import outputs
-from valve_control.arrays import Floats
-from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import build
-from valve_control.control.simulation import offline
-from valve_control.control.simulation.offline import Run
-from valve_control.nodes.adapter import needs_numbers
-from valve_control.nodes.harness.processes import (
+from research.campaigns.processes import (
     Listener,
     bar,
     node_arguments,
@@ -29,6 +22,13 @@ from valve_control.nodes.harness.processes import (
     tool_options,
     wait_until,
 )
+from valve_control import outputs
+from valve_control.arrays import Floats
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import build
+from valve_control.control.simulation import offline
+from valve_control.control.simulation.offline import Run
+from valve_control.nodes.adapter import needs_numbers
 
 CONFIG = ("d3fxe.yaml", "command_source.yaml")
 # Controller, source and this tool listen to the reading; the source waits for the controller alone.

@@ -6,11 +6,11 @@ import sys
 from pathlib import Path
 
 from research.campaigns.lockstep import check, heard_enough, run_lockstep
+from research.campaigns.processes import parse_tool, run_tool, tool_options
 from research.paper import traces
 from research.paper.runs import CONFIG, paper_runs, valve_of
 from valve_control import outputs
 from valve_control.control.parameters import ros_file
-from valve_control.nodes.harness.processes import parse_tool, run_tool, tool_options
 
 TRIES = 3
 

@@ -18,11 +18,11 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64, Float64MultiArray
 
 from research import campaigns
+from research.campaigns.processes import process
 from valve_control import nodes
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import valve
-from valve_control.nodes.harness.processes import process
 from valve_control.nodes.rclpy_internals import WaitSet
 from valve_control.parameter import defaults
 
@@ -30,7 +30,6 @@ LIMIT = 20.0  # s
 AGAIN = 0.1  # s
 PROGRAMS = {
     **{name: f"valve_control.nodes.{name}" for name in nodes.NODES},
-    **{name: f"valve_control.nodes.harness.{name}" for name in nodes.TOOLS},
     **{name: f"research.campaigns.{name}" for name in campaigns.TOOLS},
 }  # what is started as a process → its module
 HOLD = 2000  # samples; the bench is slower than the clock

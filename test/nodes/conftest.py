@@ -4,7 +4,7 @@ import forked
 import pytest
 import rclpy
 
-from valve_control.nodes.harness import processes
+from research.campaigns import processes
 
 processes.start = forked.start
 TOGETHER = "test_installed.py"  # what its fixture builds is built once, in the worker that has all its tests

@@ -7,7 +7,6 @@ from struct import pack
 
 import pytest
 from bench import spin_until
-from builtin_interfaces.msg import Duration
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from trajectory_msgs.msg import JointTrajectoryPoint
@@ -51,18 +50,6 @@ def test_numbers_after_the_head_of_an_array_are_what_rclpy_reads(labels):
     message = Float64MultiArray(layout=MultiArrayLayout(dim=dim), data=numbers)
     begin = head(Float64MultiArray(layout=MultiArrayLayout(dim=dim)), len(labels))
     assert deserialize_message(begin + pack(f"<{len(labels)}d", *numbers), Float64MultiArray) == message
-
-
-def test_a_point_of_a_trajectory_is_read_as_it_was_sent_in_either_byte_order():
-    point = (0.5, -1.5, 2.25)
-    little = encoded_point(*point, 1_500_000_000)
-    assert deserialize_message(little, JointTrajectoryPoint) == JointTrajectoryPoint(
-        positions=[0.5], velocities=[-1.5], accelerations=[2.25],
-        time_from_start=Duration(sec=1, nanosec=500_000_000),
-    )  # fmt: skip
-    big = b"\0\0\0\0" + pack(">I4xdI4xdI4xdIiI", 1, 0.5, 1, -1.5, 1, 2.25, 0, 1, 500_000_000)
-    for data in (little, big):
-        assert decoded_point(data) == ((0.5,), (-1.5,), (2.25,), 1_500_000_000)
 
 
 def test_what_is_no_point_is_passed_over(ros):

@@ -20,6 +20,7 @@ from std_msgs.msg import Float64, Header
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from research.campaigns.processes import process
 from valve_control.axis import axis_supervisor, run
 from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.parameters import files, ros_file
@@ -28,7 +29,6 @@ from valve_control.nodes import loop
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, NumberSubscription
 from valve_control.nodes.axis_controller import AxisController
 from valve_control.nodes.axis_simulator import AxisSimulator
-from valve_control.nodes.harness.processes import process
 from valve_control.parameter import updated
 
 MACHINES = ("bench", "crane_boom", "press")

@@ -24,10 +24,10 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 
 from benchmarks import commissioned
+from research.campaigns.processes import Listener, process
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes import commissioning_client
-from valve_control.nodes.harness.processes import Listener, process
 
 VOLTAGE, TRAVEL = 3.5, 1.5  # V
 PERIOD = 0.004  # s: four times the usual one, since a busy machine is late by some ms

@@ -7,7 +7,6 @@ import json
 import signal
 import socket
 import subprocess
-import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,7 +20,7 @@ from launched import command as launch
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from valve_control.nodes.harness.processes import process
+from research.campaigns.processes import process
 
 SIGNALS = ["command", "position", "error", "voltage", "term.unsaturated_voltage"]
 
@@ -120,30 +119,3 @@ def test_a_launch_file_starts_the_page_on_the_port_that_is_asked_for(name, tmp_p
     assert "Traceback" not in said, said
     with socket.create_server(("127.0.0.1", port)):  # nobody listens there any more
         pass
-
-
-def test_a_port_that_is_taken_is_said_in_one_sentence(tmp_path):
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        done = subprocess.run(
-            [sys.executable, "-m", "valve_control.nodes.dashboard", "--ros-args", "-p", f"port:={port}"],
-            cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
-        )  # fmt: skip
-    said = done.stderr.strip().splitlines()
-    assert done.returncode == 1 and len(said) == 1, done.stderr
-    assert f"port {port} of 127.0.0.1 cannot be had: address already in use" in said[0]
-    assert "-p port:=8081" in said[0]
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_nicegui_that_is_missing_is_asked_for_in_one_sentence(tmp_path):
-    script = (
-        "import sys; sys.modules['nicegui'] = None; sys.argv = ['dashboard']; "
-        "from valve_control.nodes.dashboard import main; raise SystemExit(main())"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
-    )
-    said = done.stderr.strip().splitlines()
-    assert done.returncode == 1 and len(said) == 1, done.stderr
-    assert "the dashboard needs nicegui" in said[0] and "pip install 'valve_control[dashboard]'" in said[0]

@@ -11,14 +11,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-import yaml
 from bench import call, get_double, set_parameters, spin_until
 from browser import PHONE, needs_browser, until, window
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
+from research.campaigns.processes import process
 from valve_control.nodes.adapter import SAMPLES
-from valve_control.nodes.harness.processes import process
 
 pytestmark = [pytest.mark.browser, needs_browser]
 
@@ -201,39 +200,6 @@ def test_a_refused_value_shows_its_reason_and_changes_nothing(page, ros):
     picture(page, "refused")
 
 
-def test_what_others_change_is_shown_and_can_be_undone(page, ros):
-    assert set_parameters(ros, pid__kp=1.3).successful
-    until(lambda: page.shown("pid.kp") == "1.3", "the value that somebody else has set")
-    page.click("#tab-log")
-    page.wait_for("#log", "pid.kp 1.0 → 1.3 (from elsewhere)")
-    page.click("#tab-tune")
-    page.press("#undo")
-    spin_until(ros, lambda: kp(ros) == 1.0, "undone")
-
-
-def test_the_law_is_switched_and_back(page, ros):
-    page.choose("[data-name='controller'] .q-select", "arc")
-    page.find("[data-name='arc.k1'] input")
-    page.press("#undo")
-    until(
-        lambda: page.driver.find_elements("css selector", "[data-name='pid.kp'] input"), "the form of the PID"
-    )
-
-
-def test_parameters_are_saved_and_loaded(page, ros, folder):
-    page.fill("file", f"{folder}/saved.yaml")
-    page.press("#save")
-    page.wait_for("#file-answer", f"wrote {folder}/saved.yaml")
-    saved = yaml.safe_load((folder / "saved.yaml").read_text())["/controller"]["ros__parameters"]
-    assert saved["pid"]["kp"] == 1.0
-    page.type("pid.kp", "2")
-    spin_until(ros, lambda: kp(ros) == 2.0, "a change")
-    page.press("#load")
-    page.wait_for("#file-answer", "of which")
-    spin_until(ros, lambda: kp(ros) == 1.0, "the saved value")
-    until(lambda: page.shown("pid.kp") == "1.0", "the saved value on the page")
-
-
 def test_space_stops_the_valve_and_it_is_activated_again(page):
     from selenium.webdriver import Keys
 
@@ -346,25 +312,6 @@ def test_a_killed_controller_is_seen_and_its_successor_too(page, tmp_path, ros):
             until(lambda: page.shown("pid.kp") == str(get_double(ros, "pid.kp", name)), "its own value")
             assert get_double(ros, "pid.kp", name) != 0.9
     choose(page, "valve")
-
-
-def test_each_node_of_the_valve_has_its_form(page, ros):
-    """Commands and faults are parameters of the nodes that make them."""
-    try:
-        page.choose("#node", "/command_source")
-        page.type("amplitude", "0.8")
-        spin_until(ros, lambda: get_double(ros, "amplitude", "command_source") == 0.8, "the amplitude")
-        page.choose("#node", "/valve_simulator")
-        page.click("#group-fault")
-        page.choose("[data-name='fault.valve'] .q-select", "stuck")
-        page.click("#tab-log")
-        page.wait_for("#log", "/valve_simulator: fault.valve none → stuck")
-        page.click("#tab-tune")
-        page.press("#undo")
-        until(lambda: "none" in page.text("[data-name='fault.valve'] .q-select"), "no fault")
-    finally:
-        page.choose("#node", "/controller")
-        assert set_parameters(ros, "command_source", amplitude=1.0).successful
 
 
 def test_a_recording_is_begun_and_ended(page, folder):

@@ -13,23 +13,21 @@ import pytest
 import rclpy
 from bench import LIMIT, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
-from std_msgs.msg import Float64, Float64MultiArray
+from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "drivers"))
 from examples import serial_card
 
 from research.campaigns.lockstep import CONFIG
+from research.campaigns.processes import Listener, node_arguments, node_values, process
 from valve_control.control.drivers.device import Device, Side
 from valve_control.control.drivers.driver import Reading, patience
 from valve_control.control.drivers.scaling import Scale
 from valve_control.control.parameters import build, drivers, ros_file
 from valve_control.control.parameters.drivers import SIMULATED
 from valve_control.control.simulation import offline
-from valve_control.control.supervision.journal import COLUMNS, HEAD
-from valve_control.nodes.adapter import EVERYTHING
 from valve_control.nodes.device_controller import DeviceController
-from valve_control.nodes.harness.processes import Listener, node_arguments, node_values, process
 from valve_control.nodes.valve_driver import ValveDriver
 
 STEP = 10.0 / 32767  # V
@@ -145,32 +143,6 @@ def test_a_card_is_controlled_beside_it_and_its_faults_are_told(ros, tmp_path, e
         os.kill(child.pid, end)
         run(lambda: not card._asked and card.voltage == 0.0, "0 V")
     card.close()
-
-
-def test_topics_may_have_every_tenth_sample_while_the_journal_has_all(ros, tmp_path):
-    words = ["-p", "driver:=simulated", "-p", "simulated.lvdt.noise:=0.01", "-p", "signal_decimation:=10"]
-    heard = {"spool_position": [], "valve_voltage": []}
-    for topic, values in heard.items():
-        ros.create_subscription(Float64, topic, lambda m, values=values: values.append(m.data), 1000)
-    rows = []
-    ros.create_subscription(
-        Float64MultiArray,
-        "/controller/journal",
-        lambda m: rows.extend(np.reshape(m.data[HEAD:], (-1, len(COLUMNS))).tolist()),
-        EVERYTHING,
-    )
-    with process("controller", words, tmp_path / "c.log"):
-        spin_until(ros, lambda: rows and all(len(values) > 200 for values in heard.values()), "samples")
-    reading, voltage = COLUMNS.index("reading"), COLUMNS.index("voltage")
-    sampled = [row for row in rows if not np.isnan(row[reading])]
-    # On a busy machine readings come together, and a silence between them has its own voltage on the topic.
-    silent = {row[voltage] for row in rows if np.isnan(row[reading])}
-    for topic, column in (("spool_position", reading), ("valve_voltage", voltage)):
-        places = {row[column]: i for i, row in enumerate(sampled)}  # noise repeats no number
-        at = [places[value] for value in heard[topic] if value in places and value not in silent]
-        steps = np.diff(at)
-        assert len(at) > 100 and np.median(steps) == 10 and np.mean(steps) < 12, (topic, steps)
-        assert np.all(steps >= 10), (topic, steps)
 
 
 class Bus:

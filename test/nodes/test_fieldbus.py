@@ -3,17 +3,14 @@
 """Node valve_driver on Modbus TCP and on CANopen, between its topics and a valve in another process."""
 
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
 import rclpy
-from bench import LIMIT, call, process
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from bench import LIMIT, process
 from std_msgs.msg import Float64
-from std_srvs.srv import SetBool
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "drivers"))
 from spool import device
@@ -69,55 +66,4 @@ def test_voltage_and_reading_pass_and_the_end_is_off(ros, tmp_path, kind):
             until(lambda: valve.order("state") == on, "2 V again", 2.0)
             node.send_signal(signal.SIGTERM)
             assert node.wait(LIMIT) == 0
-        assert valve.order("state") == off
-
-
-def test_a_fault_of_a_can_valve_is_told_and_a_killed_node_leaves_it_off(ros, tmp_path):
-    module, started, settings, address, _, on = KINDS["canopen"]
-    voltage = ros.create_publisher(Float64, "valve_voltage", 10)
-    told = []
-    ros.create_subscription(DiagnosticArray, "/diagnostics", lambda m: told.append(m.status[0]), 10)
-
-    def until(condition, what):
-        end = time.monotonic() + LIMIT
-        while not condition():
-            assert time.monotonic() < end, f"{what} not within {LIMIT} s"
-            voltage.publish(Float64(data=2.0))
-            rclpy.spin_once(ros, timeout_sec=PERIOD)
-
-    def emergency():
-        values = {pair.key: pair.value for pair in told[-1].values} if told else {}
-        return "emergency" in values.get("conditions", "") and told[-1].level == DiagnosticStatus.ERROR
-
-    with device(module, *started) as valve:
-        arguments = words((*settings, f"{address}:={valve.address}"))
-        with process("valve_driver", arguments, tmp_path / "d.log") as node:
-            until(lambda: valve.order("state") == on, "2 V at the valve")
-            valve.order("emergency 3100")
-            until(emergency, "the condition")
-            assert "emergency 0x3100 (Voltage)" in told[-1].message
-            until(lambda: valve.order("state").startswith("DISABLED 0.0000"), "the valve off")
-            refused = call(ros, SetBool, "/valve_driver/enable", SetBool.Request(data=True))
-            assert not refused.success and "the output stays off until it is enabled anew" in refused.message
-            for wanted in (False, True):
-                assert call(ros, SetBool, "/valve_driver/enable", SetBool.Request(data=wanted)).success
-            until(lambda: valve.order("state") == on, "2 V again")
-            node.kill()
-            killed = time.monotonic()
-            while not valve.order("state").startswith("FAULT 0.0000"):
-                assert time.monotonic() < killed + LIMIT
-            assert time.monotonic() < killed + 2.0, "canopen.watchdog is 0.5 s"
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_dry_run_tells_the_reading_and_writes_nothing(kind):
-    module, started, settings, address, off, _ = KINDS[kind]
-    with device(module, *started) as valve:
-        done = subprocess.run(
-            [sys.executable, "-m", "valve_control.nodes.valve_driver", "--check", "--ros-args",
-             *words((*settings, f"{address}:={valve.address}"))],
-            capture_output=True, text=True, timeout=60, check=False,
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        assert "of which 0 not valid" in done.stdout and "position   0.0000 V on average" in done.stdout
         assert valve.order("state") == off

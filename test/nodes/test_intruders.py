@@ -10,8 +10,8 @@ from bench import controller, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float32
 
+from research.campaigns.processes import process
 from valve_control.nodes import right_of_way
-from valve_control.nodes.harness.processes import process
 
 
 class Ear:
@@ -90,29 +90,3 @@ def test_of_two_that_run_exactly_one_goes_on(gids, age):
     given = alone([right_of_way.ACTIVE, right_of_way.ACTIVE], gids, age)
     assert all(sum(gives) == 1 for gives in given[10:]) and all(gives == given[10] for gives in given[10:])
     assert given[10].index(True) == (gids.index(1) if age[0] == age[1] else age.index(9.0))
-
-
-@pytest.mark.parametrize(
-    ("period", "word"),
-    [pytest.param(0.0095, "", marks=pytest.mark.campaign), (0.005, ": more than 15% off, not controlled")],
-)
-def test_readings_of_another_rate_are_reported_and_beyond_the_limit_not_controlled(
-    ros, tmp_path, period, word
-):
-    """Slow ones, so that a loaded machine keeps up."""
-    ear = Ear(ros)
-    settings = [
-        "-p",
-        f"sample_period:={period}",
-        "-p",
-        "lvdt.hold_samples:=200",
-        "-p",
-        "lvdt.period_limit:=0.15",
-    ]
-    settings += ["-p", "reshaping.natural_frequency:=100.0", "-p", "controller:=open_loop"]
-    with (
-        process("valve_simulator", ["-p", "sample_period:=0.01"], tmp_path / "valve.log"),
-        controller(tmp_path, *settings),
-    ):
-        ear.hear("controller", f"ms, sample_period is {1e3 * period:g} ms{word}")
-    assert ("→ safe: " in (tmp_path / "c.log").read_text().replace("off → safe", "")) == bool(word)

@@ -7,14 +7,13 @@ import signal
 
 import pytest
 import rclpy
-from bench import Bench, Motion, call, controller, spin_until
-from diagnostic_msgs.msg import DiagnosticArray
+from bench import Motion, call, controller, spin_until
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from std_msgs.msg import Float64
 
+from research.campaigns.processes import process
 from valve_control.nodes.controller_node import Controller
-from valve_control.nodes.harness.processes import process
 
 
 def state(ros, node):
@@ -24,19 +23,6 @@ def state(ros, node):
 def change(ros, node, transition):
     request = ChangeState.Request(transition=Transition(id=transition))
     return call(ros, ChangeState, f"/{node}/change_state", request).success
-
-
-@pytest.mark.parametrize("node", ["controller", pytest.param("valve_simulator", marks=pytest.mark.campaign)])
-def test_a_node_that_is_not_to_start_itself_waits_and_ends_quietly(ros, tmp_path, node):
-    with process(node, ["-p", "autostart:=false", "-r", "__node:=waiting"], tmp_path / "log") as child:
-        assert state(ros, "waiting") == "unconfigured"
-        assert change(ros, "waiting", Transition.TRANSITION_CONFIGURE)
-        assert state(ros, "waiting") == "inactive"
-        assert change(ros, "waiting", Transition.TRANSITION_CLEANUP)
-        assert state(ros, "waiting") == "unconfigured"
-        child.send_signal(signal.SIGTERM)
-        assert child.wait(10.0) == 0
-    assert "Traceback" not in (tmp_path / "log").read_text()
 
 
 def test_inactive_controller_says_0_v_once_and_then_nothing(ros, tmp_path):
@@ -65,30 +51,6 @@ def test_inactive_controller_says_0_v_once_and_then_nothing(ros, tmp_path):
         assert change(ros, "controller", Transition.TRANSITION_ACTIVATE)
         spin_until(ros, lambda: ros.count_publishers("valve_voltage") == 1, "configuration")
         spin_until(ros, lambda: bench.lvdt.get_subscription_count() == 1, "subscription")
-
-
-def test_diagnostics_tell_what_is_missing_and_the_timing_since_the_last_activation(ros, tmp_path):
-    bench, told = Bench(ros), []
-
-    def hear(message):
-        status = message.status[0]
-        told.append((status.message, {pair.key: pair.value for pair in status.values}, status.level))
-
-    ros.create_subscription(DiagnosticArray, "/diagnostics", hear, 50)
-    with controller(tmp_path):
-        spin_until(ros, lambda: told, "diagnostics")
-        assert (told[0][0], told[0][2]) == ("no LVDT reading yet", b"\x02")
-        bench.connect()
-        for _ in range(5):
-            bench.sample(0.0)
-        spin_until(ros, lambda: told and "period_ms" in told[-1][1], "a period")
-        assert change(ros, "controller", Transition.TRANSITION_DEACTIVATE)
-        spin_until(ros, lambda: told[-1][0] == "inactive", "the end")
-        before = int(told[-1][1]["samples"])
-        assert change(ros, "controller", Transition.TRANSITION_ACTIVATE)
-        bench.sample(0.0)
-        spin_until(ros, lambda: int(told[-1][1]["samples"]) == before + 1, "one sample")
-        assert "period_ms" not in told[-1][1] and "jitter_ms_max" not in told[-1][1]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

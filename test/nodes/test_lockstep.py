@@ -2,28 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Through real processes over DDS, sample by sample, bit for bit as offline."""
 
-import os
 import signal
-import subprocess
-import sys
 import time
 from contextlib import ExitStack
 
-import domains
 import numpy as np
 import pytest
 import sizes
-from bench import call, controller, run_tool, set_parameters, spin_until
+from bench import call, controller, run_tool, spin_until
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Float64
 
 from research.campaigns.lockstep import CONFIG, run_lockstep
+from research.campaigns.processes import process
 from valve_control.control.laws.registry import LAWS
 from valve_control.nodes.adapter import SAMPLES
-from valve_control.nodes.harness.processes import process
-
-SHORT = "0.3"  # s of valve time, in which the command has begun to move
 
 
 @pytest.mark.parametrize(
@@ -66,18 +60,6 @@ def test_other_commands_and_valves_equal_offline(ros, tmp_path, law, settings):
     }
     run = run_lockstep("short", CONFIG, settings, tmp_path)
     assert run.result["equal"] and run.result["samples"] == 500, run.result["first_difference"]
-
-
-def test_an_lvdt_of_wrong_sign_is_named_and_held_off(ros, tmp_path):
-    settings = {
-        "valve_simulator": {"fault.lvdt": "flipped"},
-        "command_source": {"scenario": "sine", "frequency": 1.5, "amplitude": 2.0, "duration": 2.0},
-    }
-    run = run_lockstep("flipped", CONFIG, settings, tmp_path)
-    said = (tmp_path / "lockstep_flipped_controller.log").read_text()
-    assert "safe: LVDT readings disagree with the voltage: wrong sign" in said
-    voltage = np.array(run.samples["valve_voltage"])
-    assert np.mean(np.abs(voltage) == 10.0) < 0.05 and np.mean(voltage == 0.0) > 0.5
 
 
 class Disturbance:
@@ -168,43 +150,3 @@ def test_a_simulator_waits_for_a_controller_and_asks_the_next_one_again(ros, tmp
         stack.enter_context(process("controller", settings, tmp_path / "second.log"))
         spin_until(ros, lambda: len(readings) > count + 100, "readings for the second controller")
         assert log.read_text().count("sent again") == 1
-
-
-def test_lost_readings_are_refused_since_all_would_wait_for_them(ros, tmp_path):
-    with process("valve_simulator", ["-p", "clock:=lockstep"], tmp_path / "valve.log"):
-        result = set_parameters(ros, "valve_simulator", fault__lvdt="lost")
-        assert not result.successful and "in lockstep no reading can be" in result.reason
-        assert set_parameters(ros, "valve_simulator", clock="wall", fault__lvdt="lost").successful
-
-
-@pytest.mark.alone
-@pytest.mark.campaign
-def test_many_starts_beside_a_loaded_machine(tmp_path):
-    with ExitStack() as stack:
-        for _ in range(os.cpu_count()):
-            burner = subprocess.Popen(["nice", "-n", "10", "sh", "-c", "while :; do :; done"])
-            stack.callback(burner.wait)
-            stack.callback(burner.kill)
-        tools = []
-        for law, domain in zip(("arc", "oarc", "compensator", "open_loop"), domains.FOUR, strict=True):
-            (tmp_path / law).mkdir()
-            log = stack.enter_context((tmp_path / f"{law}.txt").open("wb"))
-            arguments = ["--only", law, "--starts", str(sizes.STARTS), "--duration", SHORT]
-            tools.append(
-                subprocess.Popen(
-                    [
-                        sys.executable,
-                        "-m",
-                        "research.campaigns.lockstep",
-                        "--out",
-                        str(tmp_path / law),
-                        *arguments,
-                    ],
-                    stdout=log,
-                    stderr=log,
-                    env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
-                )
-            )
-            stack.callback(tools[-1].kill)
-        statuses = [tool.wait(400.0) for tool in tools]
-    assert statuses == [0] * len(domains.FOUR), [path.read_text() for path in tmp_path.glob("*.txt")]

@@ -7,17 +7,16 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager, nullcontext
-from itertools import pairwise
 
 import pytest
 from bench import LIMIT, get_double, spin_until
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 
+from research.campaigns.processes import process
 from valve_control.control.supervision.record import Mode
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
 from valve_control.nodes.controller_node import TURNS, Controller
-from valve_control.nodes.harness.processes import process
 
 PROMPT = 2.0  # s for the end of a process, most of it Python's
 FLOOD = """
@@ -58,52 +57,6 @@ def test_what_waits_is_taken_and_not_what_comes_meanwhile(ros):
 ANY_PACE = ("-p", "lvdt.period_limit:=1000.0")  # the tests give readings as fast as they are answered
 
 
-class Eager(Controller):
-    """A controller for whose every voltage there is a reading at once."""
-
-    def open(self):
-        self.answered = 0
-        self.lvdt = self.create_publisher(Float64, "spool_position", SAMPLES)
-        super().open()
-
-    def _publish(self, voltage):
-        super()._publish(voltage)
-        self.answered += 1
-        assert self.answered < 200, "it answers readings, and does nothing else"
-        self.lvdt.publish(encoded(0.0))
-
-
-def test_controller_returns_from_readings_that_never_end(ros):
-    node = Eager(cli_args=["--ros-args", *ANY_PACE])
-    try:
-        spin_until(ros, lambda: node.lvdt.get_subscription_count() == 1, "match")
-        node.lvdt.publish(encoded(0.0))
-        spin_until(ros, lambda: node.work() and node.answered >= SAMPLES.depth, "readings")
-    finally:
-        node.destroy_node()
-
-
-def test_of_valves_that_fail_at_once_each_is_told_in_its_turn(ros):
-    """A manifold of twelve would be held up by 12 ms or more, and lose readings for that."""
-    valves = [
-        Controller(warms=False, alone=False, cli_args=["--ros-args", "-r", f"__ns:=/v{i}"]) for i in range(3)
-    ]
-    try:
-        told = {}
-        end = time.monotonic() + 20.0
-        while len(told) < 3:
-            assert time.monotonic() < end, f"only {sorted(told)} had a turn"
-            for i, valve in enumerate(valves):
-                if i not in told and valve._may_tell(True):
-                    told[i] = time.monotonic()
-        assert all(later - sooner > 0.9 * TURNS[True] for sooner, later in pairwise(told.values()))
-        Controller.told = time.monotonic() + 1.0
-        assert not any(valve._may_tell(False) for valve in valves)
-    finally:
-        for valve in valves:
-            valve.destroy_node()
-
-
 def test_valves_that_fall_silent_at_once_do_not_wait_for_their_next_reminder(ros):
     """One that is held up acts again when it is its turn, 2 ms later, and not in 0.1 s."""
     valves = [
@@ -137,15 +90,6 @@ def test_valves_that_fall_silent_at_once_do_not_wait_for_their_next_reminder(ros
     finally:
         for valve in valves:
             valve.destroy_node()
-
-
-def test_a_change_of_a_device_and_one_of_its_valve_do_not_hold_up_each_other(ros):
-    valve = Controller(cli_args=["--ros-args", "-r", "__ns:=/x"])
-    try:
-        assert valve._may_tell(False, "device") and valve._may_tell(False)
-        assert not valve._may_tell(False, "device") and not valve._may_tell(False)
-    finally:
-        valve.destroy_node()
 
 
 def test_a_silence_that_begins_in_lockstep_is_noticed_once_lockstep_ends(ros):

@@ -40,20 +40,6 @@ def test_each_refusal_of_the_kernel_is_a_sentence_with_the_limit_to_raise():
     assert realtime.obtained() == before
 
 
-def test_cpus_that_the_process_may_not_have_are_said():
-    before, said = os.sched_getaffinity(0), []
-    realtime.obtain(Request(False, 0, (1023,)), said.append)
-    assert len(said) == 1 and said[0].startswith("realtime.cpus: (1023,) not obtained, ")
-    assert os.sched_getaffinity(0) == before
-
-
-def test_what_is_already_so_is_obtained_in_silence():
-    before, said = realtime.obtained(), []
-    for cpus in ((), tuple(os.sched_getaffinity(0))):
-        realtime.obtain(Request(False, 0, cpus), said.append)
-    assert said == [] and realtime.obtained() == before
-
-
 def test_a_thread_that_has_ended_meanwhile_does_not_keep_the_others_from_theirs():
     asked, ended = [], 1 << 30  # beyond Linux's largest thread number, 1 << 22
     threads = [ended, threading.get_native_id()]
@@ -64,9 +50,3 @@ def test_a_thread_that_has_ended_meanwhile_does_not_keep_the_others_from_theirs(
 
     realtime.for_each(threads, ask)
     assert asked == threads[1:]
-
-
-def test_the_request_is_that_of_the_parameters():
-    values = {"realtime.cpus": " 0 ", "realtime.lock_memory": True, "realtime.priority": 20}
-    assert realtime.request(values) == Request(True, 20, (0,))
-    assert realtime.request({**values, "realtime.cpus": ""}).cpus == ()

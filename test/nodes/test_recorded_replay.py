@@ -14,10 +14,10 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Float64
 
+from research.campaigns.processes import node_arguments, process
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.export import unit
-from valve_control.nodes.harness.processes import node_arguments, process
 from valve_control.parameter import defaults
 from valve_control.recordings import shadow
 from valve_control.recordings.analysis import analyze, as_dict

@@ -3,15 +3,12 @@
 """The recorder beside real nodes: nothing lost, parameters in the bag, killed at any moment."""
 
 import itertools
-import os
 import random
-import resource
 import shutil
 import signal
 import sqlite3
 import time
 from contextlib import ExitStack, closing
-from pathlib import Path
 
 import pytest
 import rclpy
@@ -26,8 +23,8 @@ from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
 from std_msgs.msg import Float64, String
 
-from valve_control.nodes.definitions import Definitions, message_class
-from valve_control.nodes.harness.processes import process
+from research.campaigns.processes import process
+from valve_control.nodes.definitions import Definitions
 from valve_control.nodes.recorder import Recorded, merged
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.errors import BagError
@@ -221,34 +218,6 @@ def test_killed_at_any_moment(ros, tmp_path, cascade, capsys):
             )
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ends_quietly_without_anything_to_record(ros, tmp_path, number):
-    folder, log = tmp_path / "deep" / "bag", tmp_path / "log"
-    with recorder(folder, log) as child:
-        spin_until(ros, lambda: "records into" in log.read_text(), "recorder")
-        child.send_signal(number)
-        assert child.wait(10.0) == 0
-    assert "Traceback" not in log.read_text()
-    assert EVENTS in topics(folder)
-
-
-def test_a_folder_whose_name_is_not_utf_8_is_recorded_into(ros, tmp_path, monkeypatch):
-    folder, log = Path(os.fsdecode(bytes(tmp_path / "valve_") + b"\xff")), tmp_path / "log"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    with recorder("bag", log) as child:
-        spin_until(ros, lambda: "records into" in log.read_text(), "recorder")
-        stop(child)
-    assert "Traceback" not in log.read_text() and "valve_?/bag" in log.read_text()
-    assert EVENTS in topics(folder / "bag")
-
-
-def test_parameters_are_fixed_once_it_runs(ros, tmp_path):
-    with recorder(tmp_path / "bag", tmp_path / "log"):
-        result = set_parameters(ros, target="recorder", flush_period=0.5)
-        assert not result.successful and "do not change" in result.reason
-
-
 def test_a_node_that_comes_back_is_asked_again(ros, tmp_path):
     folder, log = tmp_path / "bag", tmp_path / "log"
     copies = itertools.count()
@@ -305,22 +274,6 @@ def test_what_publishers_offer_is_taken(ros, tmp_path):
         qos = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
     assert qos["/fast"][0].reliability.name == "BEST_EFFORT"
     assert qos["/latched"][0].durability.name == "TRANSIENT_LOCAL"
-
-
-@pytest.mark.alone
-def test_a_bag_that_may_not_grow_ends_in_order(ros, tmp_path, cascade):
-    folder, log = tmp_path / "bag", tmp_path / "log"
-    with recorder(folder, log) as child:
-        spin_until(ros, lambda: flows(folder, "mcap"), "messages of all topics")
-        limit = next(folder.glob("*.mcap")).stat().st_size + 3_000_000
-        resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (limit, limit))
-        spin_until(ros, lambda: child.poll() is not None, "the end")
-        assert child.returncode == 1
-    text = log.read_text()
-    assert "cannot be written any further: File too large; the bag is closed and whole" in text
-    assert "Traceback" not in text
-    found = by_topic(folder)
-    assert all(gaps(found[topic]) == 0 and len(found[topic]) > 500 for topic in TOPICS)
 
 
 class Ear:
@@ -427,13 +380,6 @@ def test_a_bag_that_is_taken_away_ends_the_recording_at_once(ros, tmp_path, stor
     assert "Traceback" not in text and not (folder / metadata.NAME).exists()
     if how == "folder renamed":
         assert 0 < len(by_topic(recover(tmp_path / "elsewhere").out)["/spool_position"]) <= 50
-
-
-def test_types_that_are_not_installed():
-    with pytest.raises(LookupError, match="no_msgs/msg/Nothing is not installed"):
-        message_class("no_msgs/msg/Nothing")
-    with pytest.raises(LookupError, match="no_msgs/msg/Nothing"):
-        Definitions().get("no_msgs/msg/Nothing")
 
 
 def test_definitions_come_from_the_installed_packages():

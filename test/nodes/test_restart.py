@@ -11,7 +11,7 @@ import pytest
 import sizes
 from bench import spin_until
 
-from valve_control.nodes.harness.processes import Listener, process
+from research.campaigns.processes import Listener, process
 
 PARTIES = ("controller", "valve_simulator", "command_source")
 QUICK = PARTIES[::-1]  # order of killing

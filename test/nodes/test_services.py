@@ -5,16 +5,15 @@
 import os
 
 import pytest
-import yaml
 from bench import Motion, call, controller, get_double, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from valve_control.control.parameters import build, files, ros_file
+from research.campaigns.processes import process
+from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.nodes.harness.processes import process
 from valve_control.parameter import defaults, updated
 
 
@@ -82,14 +81,6 @@ def test_saved_parameters_are_loaded_and_read_back_with_the_present_estimates(ro
         assert list(got) == pytest.approx(estimates, rel=1e-12)
 
 
-def test_a_file_that_cannot_be_written_stays_as_before(tmp_path):
-    kept = tmp_path / "kept.yaml"
-    kept.write_text("as before")
-    with pytest.raises(OSError):
-        ros_file.save(kept / "below", "/controller", {"u_max": 10.0})
-    assert kept.read_text() == "as before"
-
-
 def test_parameters_are_loaded_as_a_whole_or_not_at_all(ros, tmp_path):
     path = tmp_path / "p.yaml"
     path.write_text(
@@ -143,25 +134,6 @@ def test_what_a_controller_cannot_do_is_said(ros, tmp_path):
         assert [result.successful for result in results] == [False, True]
         assert "'controler'; did you mean 'controller'" in results[0].reason
         assert get_double(ros, "arc.k1") == 5.0
-
-
-def test_node_warns_once_of_parameters_that_may_be_meant_for_others(ros, tmp_path):
-    shared = tmp_path / "shared.yaml"
-    shared.write_text("/**:\n  ros__parameters: {use_sim_time: false, controler: pid, u_max: 8.0}\n")
-    with controller(tmp_path, "--params-file", str(shared)):
-        assert get_double(ros, "u_max") == 8.0
-    warnings = [line for line in (tmp_path / "c.log").read_text().splitlines() if "[WARN]" in line]
-    assert len([line for line in warnings if "'controler'; did you mean 'controller'" in line]) == 1
-
-
-def test_namespaced_parameters_are_saved_under_their_full_name(tmp_path):
-    path = tmp_path / "p.yaml"
-    ros_file.save(
-        path, "/excavator/boom/controller", {"arc.epsilon": 1e6, "controller": "arc", "lockstep": False}
-    )
-    tree = yaml.safe_load(path.read_text())
-    assert tree["/excavator/boom/controller"]["ros__parameters"]["arc"]["epsilon"] == 1e6
-    assert files.load(str(path))["controller"]["arc.epsilon"] == 1e6
 
 
 def test_scheduler_and_cpus_are_those_really_obtained(ros, tmp_path):

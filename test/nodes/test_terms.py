@@ -5,8 +5,6 @@
 from bench import Motion, controller, set_parameters, spin_until
 from std_msgs.msg import Float64
 
-CHOSEN = ("unsaturated_voltage", "voltage")
-
 
 def listen(ros, names):
     """The numbers of each term, and whether all of them have a publisher."""
@@ -15,28 +13,6 @@ def listen(ros, names):
         topic = f"/controller/terms/{name}"
         heard.append(ros.create_subscription(Float64, topic, lambda m, n=name: got[n].append(m.data), 10))
     return got, lambda: all(subscription.get_publisher_count() == 1 for subscription in heard)
-
-
-def test_each_chosen_term_is_published_with_the_numbers_of_the_state(ros, tmp_path):
-    motion, (got, matched) = Motion(ros), listen(ros, CHOSEN)
-    with controller(tmp_path, "-p", "state_topics:=['unsaturated_voltage','voltage','voltage']"):
-        motion.bench.connect()
-        spin_until(ros, matched, "publishers of terms")
-        motion.move(20)
-        last = motion.bench.state()
-        spin_until(
-            ros, lambda: all(got[name] and got[name][-1] == last[name] for name in CHOSEN), "the last terms"
-        )
-        motion.bench.states.clear()
-        for numbers in got.values():
-            numbers.clear()
-        motion.move(20)
-        spin_until(ros, lambda: len(motion.bench.states) == 20, "states")
-        spin_until(ros, lambda: all(len(numbers) == 20 for numbers in got.values()), "terms")
-        for name, numbers in got.items():
-            at = [entry.label for entry in motion.bench.states[0].layout.dim].index(name)
-            assert numbers == [state.data[at] for state in motion.bench.states]
-        assert len(set(got["voltage"])) > 10  # it moves
 
 
 def test_terms_are_chosen_while_it_runs_and_wrong_names_refused(ros, tmp_path):

@@ -11,7 +11,7 @@ from bench import run_tool, spin_until
 from std_msgs.msg import Float64
 
 from research.campaigns.joiners import crowd
-from valve_control.nodes.harness.processes import process
+from research.campaigns.processes import process
 from valve_control.nodes.transport import (
     ANYWHERE,
     THIS_HOST,
@@ -40,35 +40,24 @@ def test_logs_without_a_folder_are_one_sentence(environment, words):
     assert words in str(error.value)
 
 
-def test_the_variable_is_that_of_the_installed_fast_dds(tmp_path):
+def test_the_profile_follows_the_installed_fast_dds_and_the_range_of_discovery(tmp_path):
     """Fast DDS 3 does not read the variable of version 2, and rmw_fastrtps warns of it in each process."""
-    jazzy, kilted = tmp_path / "jazzy", tmp_path / "kilted"
-    (jazzy / "share" / "fastrtps").mkdir(parents=True)
+    kilted = tmp_path / "kilted"
     (kilted / "share" / "fastdds").mkdir(parents=True)
-    for prefixes, variable in (("", PROFILE), (f"{jazzy}", PROFILE), (f"/nosuch:{kilted}", NEWER)):
-        environment = {"AMENT_PREFIX_PATH": prefixes}
-        use_own_profile(environment)
-        assert environment[variable] == ANYWHERE and len(environment) == 2
-        leave_own_profile(environment)
-        assert environment == {"AMENT_PREFIX_PATH": prefixes}
-
-
-def test_the_profile_follows_the_range_of_discovery():
-    for given, profile, wanted in (
-        ({}, ANYWHERE, None),
-        ({RANGE: "SUBNET"}, ANYWHERE, "SUBNET"),
-        ({RANGE: "LOCALHOST"}, THIS_HOST, "SYSTEM_DEFAULT"),
-        ({RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.2"}, ANYWHERE, "LOCALHOST"),
-        ({PROFILE: THIS_HOST, RANGE: "SYSTEM_DEFAULT"}, THIS_HOST, "SYSTEM_DEFAULT"),
-        ({PROFILE: THIS_HOST, RANGE: "SUBNET"}, ANYWHERE, "SUBNET"),
-        ({PROFILE: ANYWHERE, RANGE: "LOCALHOST"}, THIS_HOST, "SYSTEM_DEFAULT"),
+    for given, variable, profile, wanted in (
+        ({}, PROFILE, ANYWHERE, None),
+        ({"AMENT_PREFIX_PATH": f"/nosuch:{kilted}"}, NEWER, ANYWHERE, None),
+        ({RANGE: "SUBNET"}, PROFILE, ANYWHERE, "SUBNET"),
+        ({RANGE: "LOCALHOST"}, PROFILE, THIS_HOST, "SYSTEM_DEFAULT"),
+        ({RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.2"}, PROFILE, ANYWHERE, "LOCALHOST"),
+        ({PROFILE: THIS_HOST, RANGE: "SUBNET"}, PROFILE, ANYWHERE, "SUBNET"),
     ):
         environment = dict(given)
         use_own_profile(environment)
-        assert environment[PROFILE] == profile and Path(profile).is_file()
+        assert environment[variable] == profile and Path(profile).is_file()
         assert environment.get(RANGE) == wanted
         leave_own_profile(environment)
-        assert PROFILE not in environment
+        assert variable not in environment
         assert environment.get(RANGE) == ("LOCALHOST" if profile == THIS_HOST else wanted)
 
 
@@ -77,26 +66,19 @@ def test_the_profile_follows_the_range_of_discovery():
     [
         {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"},
         {PROFILE: "mine.xml"},
-        {NEWER: "mine.xml"},
         {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"},
+        {},
     ],
 )
-def test_a_choice_of_the_user_and_another_middleware_are_left_alone(own):
+def test_a_choice_of_the_user_and_another_middleware_are_left_alone(tmp_path, monkeypatch, own):
+    """Without a variable it is a profile in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    if not own:
+        (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_text("<dds/>")
     given = {RANGE: "LOCALHOST", **own}
     environment = dict(given)
     use_own_profile(environment)
     assert environment == given
-    leave_own_profile(environment)
-    assert environment == given
-
-
-@pytest.mark.parametrize("name", ["DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml"])
-def test_a_profile_in_the_working_folder_is_left_alone(tmp_path, monkeypatch, name):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / name).write_text("<dds/>")
-    environment = {}
-    use_own_profile(environment)
-    assert environment == {}
 
 
 def shared_memory(pid):

@@ -10,10 +10,7 @@ from contextlib import ExitStack, contextmanager
 from bench import spin_until
 from std_msgs.msg import Float64
 
-from valve_control.design.commissioning.bench import SafetyLimits
-from valve_control.nodes import adapter, commissioning_client
-from valve_control.nodes.adapter import UNKNOWN, UNNUMBERED
-from valve_control.nodes.harness.processes import process
+from valve_control.nodes.adapter import UNKNOWN
 
 # The node as it is, with the number that rmw gives where there is none.
 NODE = """
@@ -73,45 +70,3 @@ def test_a_cascade_runs_and_says_once_that_losses_are_unknown(ros, tmp_path):
     assert text.count(UNKNOWN) == 1 and "valve_voltage: " in text and "messages, unknown lost" in text
     assert logs["controller"].read_text().count(UNKNOWN) == 1
     assert "controlling" in logs["controller"].read_text()
-
-
-def test_lockstep_is_refused_in_one_sentence(ros, tmp_path):
-    log = tmp_path / "controller.log"
-    readings = ros.create_publisher(Float64, "spool_position", 10)
-    with node("controller", log, "lockstep:=true") as child:
-        spin_until(ros, lambda: readings.publish(Float64()) or child.poll() is not None, "its end")
-        assert child.returncode == 1
-    (said,) = [line for line in log.read_text().splitlines() if line.startswith("valve_control:")]
-    assert "lockstep needs a middleware that numbers messages" in said
-    assert "rmw_fastrtps_cpp" in said
-
-
-def test_a_course_of_a_commissioning_goes_on_with_the_count_of_its_readings(ros, tmp_path, monkeypatch):
-    taken = adapter.NumberSubscription.one
-
-    def one(subscription):
-        found = taken(subscription)
-        if found is not None:
-            found[1]["publication_sequence_number"] = UNNUMBERED
-        return found
-
-    def course():
-        for _ in range(200):
-            seen = yield 0.0
-            if seen.time > 0.2:
-                return
-        raise AssertionError(f"after 200 readings it is {seen.time} s")
-
-    monkeypatch.setattr(adapter.NumberSubscription, "one", one)
-    words = ["-p", "sample_period:=0.004", "-p", "command_timeout:=0.0", "-p", "lvdt.hold_samples:=1000"]
-    with (
-        process("controller", words, tmp_path / "controller.log"),
-        process("valve_simulator", words[:2], tmp_path / "valve_simulator.log"),
-    ):
-        client = commissioning_client.Controller(ros, "/controller")
-        client.meet()
-        period = client.values()["sample_period"]
-        client.meet_valve()
-        client.on()
-        record = client.drive(course(), SafetyLimits(10.0, 10.0), lambda time: None)
-    assert 0.2 < len(record.reading) * period < 0.8

@@ -18,8 +18,6 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
-from valve_control.nodes.valve_driver import ValveDriver
-
 sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "drivers"))
 from examples import serial_card
 
@@ -103,21 +101,6 @@ def test_the_loop_closes_and_a_killed_controller_leaves_zero_volts(ros, tmp_path
         assert told.status.level == b"\x02" and told.values["voltage_timeouts"] == "1"
         os.kill(node.pid, signal.SIGKILL)
         run(ros, card, lambda: not card._asked, "the card's own watchdog")
-
-
-def test_a_voltage_before_the_first_reading_is_no_answer(ros, tmp_path, card):
-    told, voltage = Told(ros), ros.create_publisher(Float64, "valve_voltage", 10)
-
-    def given():
-        voltage.publish(Float64(data=1.0))
-        rclpy.spin_once(ros, timeout_sec=0.01)
-        card.receive(time.monotonic())
-        return abs(card.voltage - 1.0) < 2 * STEP
-
-    with driver(tmp_path, card, "watchdog:=60.0"):
-        spin_until(ros, given, "voltage at the card")
-        run(ros, card, lambda: "period_ms" in told.values, "readings")
-        assert math.isfinite(float(told.values.get("answer_ms_max", "0.0")))
 
 
 def test_each_reading_is_answered_and_the_law_moves_the_spool(ros, tmp_path, card):
@@ -215,19 +198,6 @@ def test_the_output_follows_enable_and_an_open_device_keeps_its_scales(ros, tmp_
         assert not card._asked and card.voltage == 0.0
         assert call(ros, SetBool, "/valve_driver/enable", SetBool.Request(data=True)).success
         run(ros, card, driven(3.0), "3 V again")
-
-
-def test_who_enables_the_output_of_a_node_that_is_not_active_is_told_so(ros):
-    node = ValveDriver(cli_args=["--ros-args", "-p", "driver:=simulated", "-p", "autostart:=false"])
-    try:
-        for on, told in (
-            (True, "the node is not active: the output comes on when it is"),
-            (False, "output off"),
-        ):
-            answer = node._on_enable(SetBool.Request(data=on), SetBool.Response())
-            assert (answer.success, answer.message) == (True, told)
-    finally:
-        node.destroy_node()
 
 
 def test_a_card_that_goes_is_told_and_found_again(ros, tmp_path):

@@ -103,14 +103,14 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
     replay = commands.add_parser(
         "replay",
         parents=[shared],
-        help="replay a bag: in shadow, as what-if, or live",
+        help="replay a bag: in shadow or as what-if",
         description="shadow: a controller receives the recorded command and LVDT readings; its voltage "
         "is compared with the recorded one. what-if: the closed loop is simulated from the recorded "
-        "command. live: commands and positions are published to running nodes (needs ROS).",
+        "command.",
     )
     replay.add_argument(
         "--mode",
-        choices=("shadow", "what-if", "live"),
+        choices=("shadow", "what-if"),
         default="shadow",
         help="mode of the replay (default: shadow)",
     )
@@ -126,10 +126,6 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
         default=[],
         metavar="FILE",
         help="ROS 2 parameter file; again for more",
-    )
-    live = replay.add_argument_group("live")
-    live.add_argument(
-        "--rate", type=float, default=1.0, metavar="X", help="speed, relative to the recording (1.0)"
     )
     replay.set_defaults(run=_replay)
 
@@ -214,25 +210,12 @@ def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> "list[tu
 
 def _replay(arguments: argparse.Namespace) -> int:
     check_outputs(arguments, [arguments.csv, arguments.html])
-    _refuse_of_other_modes(arguments)
-    if arguments.mode == "live":
-        return _replay_live(arguments)
     loaded = _load(arguments, arguments.bag, journals=arguments.mode == "shadow")
     valve = _one_valve(arguments, loaded)
     valve = valve._replace(left_out=[*loaded.problems, *valve.left_out])
     if arguments.mode == "shadow":
         return _replay_shadow(arguments, valve)
     return _replay_what_if(arguments, valve)
-
-
-def _refuse_of_other_modes(arguments: argparse.Namespace) -> None:
-    """Raise ParameterError for an option that the chosen mode would ignore."""
-    others = (
-        ("rate",) if arguments.mode != "live" else ("of", "controller", "set", "params_file", "csv", "html")
-    )
-    wrong = [name for name in others if getattr(arguments, name) not in (None, [], 1.0)]
-    if wrong:
-        raise ParameterError(f"replay --mode {arguments.mode} takes no --{wrong[0].replace('_', '-')}")
 
 
 def _overrides(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -291,25 +274,6 @@ def _deliver(arguments: argparse.Namespace, report: "Report") -> None:
     if arguments.html is not None:
         deliver(arguments, arguments.html, report.html)
     write_json(arguments, report.about)
-
-
-def _replay_live(arguments: argparse.Namespace) -> int:
-    try:
-        from valve_control.nodes import playback
-    except ImportError as error:
-        raise BagError(f"live replay needs ROS 2: {error}; shadow and what-if do without") from error
-    result = playback.play(
-        path=arguments.bag,
-        maps=arguments.map,
-        rate=arguments.rate,
-        start=arguments.start,
-        end=arguments.end,
-        clock=arguments.clock,
-    )
-    text = f"published {result.published} messages in {result.elapsed:.2f} s"
-    say(arguments, f"{text}, 99 % of them at most {1e3 * result.late:.2f} ms after their time")
-    write_json(arguments, {"bag": arguments.bag, "mode": "live", **result._asdict()})
-    return 0
 
 
 def compare_bags(arguments: argparse.Namespace) -> None:

@@ -26,11 +26,10 @@ NODES = (
     "axis_controller",
     "dashboard",
 )
-TOOLS = ("demo",)
 
 
 def program() -> str:
-    """Name of the node or tool that this process was started as, "" if it only imports one."""
+    """Name of the program that this process was started as, "" if it only imports one."""
     if sys.argv[:1] != ["-m"]:
         return os.path.basename(sys.argv[0]) if sys.argv else ""
     words = sys.orig_argv
@@ -50,5 +49,3 @@ def leave_quietly(status: int) -> None:
 # The imports of a node take a second or more, in which Ctrl-C would give a traceback.
 if program() in NODES:
     leave_quietly(0)
-elif program() in TOOLS:
-    leave_quietly(130)

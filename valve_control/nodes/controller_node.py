@@ -18,7 +18,6 @@ from std_srvs.srv import Trigger
 
 from valve_control import inputs, outputs, parameter
 from valve_control.control.laws.registry import LAWS, REFUSED
-from valve_control.control.linear import stability
 from valve_control.control.parameters import arguments, ros_file
 from valve_control.control.parameters.controller import CONTROLLER, law_params
 from valve_control.control.supervision import rate
@@ -457,6 +456,8 @@ class Controller(Managed):
     def _check_stability(self) -> None:
         """Warn about unstable gains; after they are in use, since the check takes longer than a period."""
         if self._unchecked:
+            from valve_control.control.linear import stability  # with all plants; here it is before the loop
+
             self._unchecked = False
             law, values = LAWS[self._supervisor.name], self._supervisor.values
             text = stability.warning(law, self._params) or stability.coil_warning(law, self._params, values)

@@ -10,15 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from valve_control import outputs
-from valve_control.arrays import Floats
-from valve_control.control.analysis import limit_cycle
-from valve_control.control.analysis.figures import Trace, draw_traces
-from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices, indices
-from valve_control.control.analysis.tables import HEADER, index_row
-from valve_control.control.parameters import build
-from valve_control.control.simulation import offline
-from valve_control.nodes.harness.processes import (
+from research.campaigns.processes import (
     TOPICS,
     Listener,
     bar,
@@ -30,6 +22,14 @@ from valve_control.nodes.harness.processes import (
     tool_options,
     wait_until,
 )
+from valve_control import outputs
+from valve_control.arrays import Floats
+from valve_control.control.analysis import limit_cycle
+from valve_control.control.analysis.figures import Trace, draw_traces
+from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices, indices
+from valve_control.control.analysis.tables import HEADER, index_row
+from valve_control.control.parameters import build
+from valve_control.control.simulation import offline
 from valve_control.parameter import Values
 
 SHIFT_SAMPLES = 200  # over which readings and voltages are matched
@@ -327,7 +327,7 @@ def report(runs: list[tuple[DemoRun, Measured]], folder: Path) -> bool:
 
 
 def main() -> int:
-    """Entry point of `make demo` and of `ros2 run valve_control demo`."""
+    """Entry point of `make demo`."""
     arguments = parse_tool(tool_options("demo", __doc__, [run.name for run in RUNS]))
     folder = Path(arguments.out)
     runs = [run for run in RUNS if arguments.only is None or run.name in arguments.only]
