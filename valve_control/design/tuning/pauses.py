@@ -19,7 +19,7 @@ from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.laws.law import Law
 from valve_control.design.tuning import trial
-from valve_control.design.tuning.trial import GainSet, Problem, Workers
+from valve_control.design.tuning.trial import GainSet, Problem, Threads
 from valve_control.parameter import Values, number
 
 EVERY = 0.41  # s  from one pause to the next
@@ -68,7 +68,7 @@ def shortest(law: Law, problem: Problem, gains: GainSet, longest: float = LONGES
     return math.inf
 
 
-def unborne(law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None) -> list[float]:
+def unborne(law: Law, problem: Problem, several: Sequence[GainSet], threads: Threads = None) -> list[float]:
     """The ``shortest`` pause [s] up to the limit of ``problem`` with each of ``several``; inf: none.
 
     It is below the limit.
