@@ -45,7 +45,7 @@ class TuningLimits(NamedTuple):
     sensitivity_db: float  # at most
     swing: float  # V  at most; amplitude of swings about rest that friction sustains, by the loop
     saturated: float  # at most; share of the samples at the limit of the voltage
-    pause_s: float = 0.0  # s  of the command, after which the reference comes back; pauses.shortest is longer
+    pause_s: float = 0.0  # s  of the command, after which the reference comes back
     overshoot: float = math.inf  # -  of steps, at most, median of the valves
 
 

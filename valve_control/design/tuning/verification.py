@@ -14,7 +14,7 @@ from valve_control.control.analysis import steps
 from valve_control.control.laws.law import Law
 from valve_control.control.linear import margins
 from valve_control.control.simulation.delivery import Delivery
-from valve_control.design.tuning import limit_cycles, limits, overshoot, pauses, trial
+from valve_control.design.tuning import limit_cycles, limits, overshoot, trial
 from valve_control.design.tuning.trial import GainSet, Problem, Threads, TrialResult, TuningMotion
 
 SLOWER = 1.1  # times as long: a motion of the search, turned over, as one that it did not see
@@ -30,7 +30,6 @@ class Verified(NamedTuple):
     unseen: TrialResult  # on others
     margins: margins.Margins  # of each valve
     restless: npt.NDArray[np.int64]  # numbers of valves that do not rest after a step or a motion
-    pause_s: float | None  # pauses.shortest
     reasons: list[str]  # why the gains are not accepted, as sentences; []: they are
     notes: list[str]  # what else is not as it was asked for, as sentences
     overshoot: float = 0.0  # -  of steps, overshoot.typical; and
@@ -102,7 +101,6 @@ def verified(
         unseen=unseen,
         margins=found,
         restless=restless,
-        pause_s=pauses.shortest(law, problem, gains),
         reasons=reasons,
         notes=notes,
         overshoot=overshot,
@@ -155,5 +153,4 @@ def as_dict(v: Verified) -> dict[str, Any]:
         "settling_s": v.settling if np.isfinite(v.settling) else None,
         "uneven_c_u": v.uneven_chatter if v.uneven_chatter and np.isfinite(v.uneven_chatter) else None,
         "restless": len(v.restless),
-        "pause_s": v.pause_s if v.pause_s is not None and np.isfinite(v.pause_s) else None,
     }
