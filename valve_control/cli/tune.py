@@ -154,10 +154,10 @@ def _tune(arguments: argparse.Namespace) -> int:
     if recorded is not None:
         from valve_control.design import recorded_tuning
 
-        result["recording"] = recorded_tuning.as_dict(recorded, outcome.tuned, task.seen.values)
+        result["recording"] = recorded_tuning.as_dict(recorded)
     for name, path in files.items():
         _save(arguments, path, task.seen.values, outcome.tuned[name])
-    _tell(arguments, outcome, result)
+    _tell(arguments, outcome)
     write_json(arguments, result)
     accepted = [name for name, one in outcome.tuned.items() if one.chosen.holds]
     return 0 if len(accepted) == len(asked.laws) else FAILED
@@ -310,7 +310,7 @@ def _save(arguments: argparse.Namespace, path: str, values: Values, one: "Tuned"
     wrote(arguments, path)
 
 
-def _tell(arguments: argparse.Namespace, outcome: "Outcome", result: Mapping[str, Any]) -> None:
+def _tell(arguments: argparse.Namespace, outcome: "Outcome") -> None:
     """Print reasons and notes on standard error, and the tables unless JSON goes there."""
     for text in outcome.missing.values():
         print(text, file=sys.stderr)
@@ -323,8 +323,6 @@ def _tell(arguments: argparse.Namespace, outcome: "Outcome", result: Mapping[str
         return
     if outcome.tuned:
         _print(outcome.tuned)
-    if "recording" in result:
-        _print_recording(result["recording"])
 
 
 def _print(found: "Mapping[str, Tuned]") -> None:
@@ -351,15 +349,3 @@ def _print(found: "Mapping[str, Tuned]") -> None:
     print(f"on {valves} valves that the search did not see; margins: the least in the box")
     for name, one in found.items():
         print("\n".join(limits.as_text(one.limits, f"sets of gains of {name}")))
-
-
-def _print_recording(about: Mapping[str, Any]) -> None:
-    rows = {
-        "measured": about["measured"],
-        "simulated as it was": about["simulated_as_it_was"],
-        **{f"simulated with new {name}": row for name, row in about["simulated_with"].items()},
-    }
-    print("on the recorded command:")
-    for name, row in rows.items():
-        errors = f"e_rms {1e3 * row['e_rms']:8.2f} mV   e_M {1e3 * row['e_M']:8.1f} mV"
-        print(f"  {name:28} {errors}   c_u {row['c_u']:.3f}")
