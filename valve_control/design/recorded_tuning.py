@@ -52,9 +52,8 @@ def recorded_run(
         _controller(valve, settings["controller"], chosen),
         {"sample_period": tested.period, "u_max": number(fitted.values, "u_max")},
     )
-    wanted = learning.motion(
-        recording.align(valve).command, tested.period, number(controller, "command_limit")
-    )
+    command = recording.align(valve).command
+    wanted = learning.motion(command, tested.period, number(controller, "command_limit"))
     if float(wanted.max() - wanted.min()) == 0.0:
         raise ParameterError(f"{name} has no excitation: its command does not move")
     source = {**settings["command_source"], "sample_period": tested.period}
