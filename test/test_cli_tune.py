@@ -12,7 +12,7 @@ from said import sentences
 from benchmarks import invented
 from valve_control.cli import command, tune
 from valve_control.control.parameters import files, ros_file
-from valve_control.design.tuning import search_log, trial
+from valve_control.design.tuning import trial
 
 FIXED = ["gain", "flow_force", "disturbance.offset", "friction.static_ratio", "lvdt.delay"]
 FIXED += ["drift.gain", "drift.stiffness"]
@@ -127,27 +127,6 @@ def test_a_wish_that_no_set_keeps_is_no_wall(run, tmp_path, commands, wish, word
     name = "chatter" if "--max-chatter" in wish else "overshoot"
     row = next(row for row in law["limits"] if row["limit"] == name)
     assert row["missed"] > 0 and row["best"] >= row["wanted"] and f"\n{name}" in out and "inf ms" not in out
-
-
-def test_a_search_that_was_stopped_goes_on_and_is_the_same(run, tmp_path, commands, monkeypatch):
-    """Ctrl-C in the middle: what was simulated is in the folder, and the result has the same bits."""
-    few = ["tune", "--controller", "pid", *commands, *SMALL, "--folder", "log", "--json"]
-    assert run(*few, "whole.json")[0] in (0, 1)
-    real, calls = search_log.SearchLog.result, []
-
-    def stopped(log, simulate):
-        calls.append(0)
-        if len(calls) == 5:
-            raise KeyboardInterrupt
-        return real(log, simulate)
-
-    monkeypatch.setattr(search_log.SearchLog, "result", stopped)
-    status, _, err = run(*few, "part.json")
-    assert status == 130 and "are in log; the same command goes on" in err
-    status, _, err = run(*few, "part.json")
-    assert status in (0, 1) and "sets of gains were tried already" in err
-    whole, part = ((tmp_path / name).read_text() for name in ("whole.json", "part.json"))
-    assert whole == part and not (tmp_path / "log").exists()
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,8 @@ def test_no_sentence_steers_a_commissioning(monkeypatch):
     assert ends[0] == ends[1]
 
 
-def test_a_pause_during_a_search_is_counted_and_nothing_else():
+def test_a_pause_without_a_course_is_counted_and_nothing_else():
+    """During a search, and while the new gains are set: the controller's process stood still there."""
     valve = Pausing()
     run = sequence._Commissioning(valve, PLAN, valve.values(), Steps())
     watched = valve.watch
@@ -115,7 +116,10 @@ def test_a_pause_during_a_search_is_counted_and_nothing_else():
 
     valve.watch = watch
     run._modelled()
-    assert run._pauses == {sequence.SEARCH: 1} and valve.active
+    assert run._pauses == {sequence.SEARCH: 1}
+    run._paused -= 2.0 * sequence.APART
+    assert run._kept({"oarc.k1": 50.0}) == valve.values() == {**run._before, "oarc.k1": 50.0}
+    assert run._pauses == {sequence.SEARCH: 1, sequence.LAST: 1} and valve.active
 
 
 def test_a_motion_that_a_pause_spoils_is_repeated_behind_another_approach():

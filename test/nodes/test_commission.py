@@ -31,7 +31,6 @@ from valve_control.nodes import commissioning_client
 
 VOLTAGE, TRAVEL = 3.5, 1.5  # V
 PERIOD = 0.004  # s: four times the usual one, since a busy machine is late by some ms
-FASTER = 0.002  # s: at 250 Hz the reshaping that a tuner may choose lags too much for a valve of 11 Hz
 # The simulated valve waits for its voltage, so that a busy machine is no dead time.
 VALVE = ["-p", f"sample_period:={PERIOD}", "-p", "patience:=1.0", "-p", "disturbance.offset:=0.2"]
 VALVE += ["-p", "friction.coulomb:=0.6", "-p", "lvdt.noise:=0.004"]
@@ -160,31 +159,9 @@ def begun(seen, tmp_path, child):
     assert child.poll() is None, (tmp_path / "said.log").read_text()
 
 
-@pytest.mark.campaign
-def test_to_its_end_and_undone(ros, tmp_path):
-    with running(ros, tmp_path) as seen:
-        before = seen.parameters()
-        with commission(tmp_path, "--controller", "dcarc", "--alone", *QUICK) as child:
-            status = ended(seen, child, 280.0)
-        said = (tmp_path / "said.log").read_text()
-        assert status == 0, said
-        after = seen.parameters()
-        assert seen.largest() <= VOLTAGE
-        assert seen.active()
-        found = json.loads((tmp_path / "kept" / "commission.json").read_text())
-        assert after == {**before, **found["applied"]} and after["controller"] == "dcarc"
-        told = files.load(str(tmp_path / "kept" / "tuned.yaml"))["controller"]
-        assert told.items() >= found["applied"].items() and told["u_max"] == 9.0
-        assert found["valve"]["friction"]["coulomb"] == pytest.approx(0.6, abs=0.06)
-        assert found["valve"]["static_gain"] == pytest.approx(0.829, rel=0.03)
-        assert found["valve"]["offset"] == pytest.approx(0.2, abs=0.03)
-        with commission(tmp_path, "--undo") as child:
-            assert ended(seen, child) == 0, (tmp_path / "said.log").read_text()
-        assert seen.parameters() == before and seen.active()
-
-
 # Of each step: what commission says when it begins, within how many seconds from then on it is ended, and
-# what makes it long enough for that, or those before it short.
+# what makes it long enough for that, or those before it short. A commissioning has the whole tests of those
+# before it, so that only the first two of a valve take longer than the step in which they are ended.
 SEARCH = ["--controller", "dcarc", "--budget", "5000", "--valves", "6"]
 STEPS = {
     "noise at rest": ("next: 0 V; the controller gets its limits", 2.0, SEARCH),
@@ -192,20 +169,19 @@ STEPS = {
     "stepped sine": (" s of sines of", 18.0, SEARCH),
     "model": ("model   ", 0.6, SEARCH),
     "tuning": (" sets of gains of", 4.0, SEARCH),
-    "verification": ("the valve moves for", 2.0, ["--controller", "dcarc", *QUICK]),
+    "verification": ("the valve moves for", 2.0, ["--controller", "dcarc", "--alone", *QUICK]),
 }
 FIRST = 0.8  # s  of each step at least, but of the model's; until then the controller has its limits
 HOWS = ["SIGINT", "SIGTERM", "silent", "not_finite", "second_publisher", "no simulator"]
 
 
 def moments():
-    """How and when (step, share of its seconds) each of four commissionings is ended, once or twice."""
+    """How and when (step, share of its seconds) the commissionings of each of three valves are ended."""
     chosen = random.Random(395)
-    steps = [*STEPS, "verification"]
-    hows = [*chosen.sample(HOWS, len(HOWS)), "no controller"]  # the last one, since nothing comes after it
-    chosen.shuffle(steps)
-    made = [(how, step, chosen.random()) for how, step in zip(hows, steps, strict=True)]
-    return made[:2], made[2:4], made[4:6], made[6:]
+    hows = iter(chosen.sample(HOWS, len(HOWS)))
+    valves = ["noise at rest", "stepped sine", "verification"], ["slow triangle", "model", "tuning"]
+    last = [("no controller", chosen.choice(["noise at rest", "slow triangle"]), chosen.random())]
+    return [*([(next(hows), step, chosen.random()) for step in steps] for steps in valves), last]
 
 
 def step_of(said):
@@ -253,8 +229,9 @@ def aborted(ros, stack, folder, namespace, planned, reached):
     log = folder / "said.log"
     for how, step, share in planned:
         words, longest, settings = STEPS[step]
-        (folder / "kept" / "state.json").unlink(missing_ok=True)
-        with commission(folder, "--node", f"/{node}", *settings) as child:
+        kept = folder / "kept"
+        resumed = ["--resume", str(kept)] if (kept / "tests.npz").exists() else []
+        with commission(folder, "--node", f"/{node}", *settings, *resumed) as child:
 
             def over(child=child):
                 return seen.fetch() and child.poll() is not None
@@ -280,6 +257,8 @@ def aborted(ros, stack, folder, namespace, planned, reached):
         print(f"{how} in {step}, {share:.2f}: {len(seen.voltages) - count} more voltages")
         assert child.returncode == (130 if how.startswith("SIG") else 1), said
         assert "Traceback" not in said
+        if step == "tuning":  # after a test that was whole
+            assert STEPS["slow triangle"][0] not in said and STEPS["stepped sine"][0] not in said
         assert seen.largest() <= VOLTAGE
         if how == "no controller":
             break
@@ -314,11 +293,12 @@ def aborted(ros, stack, folder, namespace, planned, reached):
     assert seen.parameters() == before
 
 
+@pytest.mark.alone
 @pytest.mark.campaign
 def test_aborted_at_random_moments(ros, tmp_path):
     """By Ctrl-C, SIGTERM, faults of the LVDT, and the death of either node, in every step.
 
-    Four valves are commissioned beside each other, each on one pair of nodes.
+    Three valves are commissioned beside each other, each on one pair of nodes.
     """
     reached, planned = [], moments()
     with ExitStack() as stack:
@@ -326,7 +306,7 @@ def test_aborted_at_random_moments(ros, tmp_path):
             ros,
             *(
                 aborted(ros, stack, tmp_path / side, f"/{side}", part, reached)
-                for side, part in zip("abcd", planned, strict=True)
+                for side, part in zip("abc", planned, strict=True)
             ),
         )
     assert sorted(reached) == sorted(step for part in planned for _, step, _ in part)
@@ -335,7 +315,7 @@ def test_aborted_at_random_moments(ros, tmp_path):
 
 @pytest.mark.alone
 @pytest.mark.campaign
-def test_pauses_of_its_processes_end_no_commissioning(ros, tmp_path):
+def test_to_its_end_and_undone_while_its_processes_pause(ros, tmp_path):
     """One of the three stands still for 5 to 60 ms every 5 to 15 s; 20 ms are 0 V."""
     with running(ros, tmp_path, "-p", "lvdt.hold_samples:=4") as seen:
         before = seen.parameters()
@@ -344,26 +324,21 @@ def test_pauses_of_its_processes_end_no_commissioning(ros, tmp_path):
             commissioned.pausing([*seen.processes, child], 44) as stood,
         ):
             status = ended(seen, child, 400.0)
-        said = (tmp_path / "said.log").read_text()
-        assert status == 0, said
+        log = tmp_path / "said.log"
+        assert status == 0, log.read_text()
+        after = seen.parameters()
         found = json.loads((tmp_path / "kept" / "commission.json").read_text())
-        assert len(stood) > 5 and sum(found["pauses"].values()) >= 1, found["pauses"]
+        assert len(stood) > 3 and sum(found["pauses"].values()) >= 1, found["pauses"]
         assert any("paused" in note for note in found["notes"])
         assert seen.largest() <= VOLTAGE and seen.active()
-        assert seen.parameters() == {**before, **found["applied"]}
-        assert found["valve"]["friction"]["coulomb"] == pytest.approx(0.6, abs=0.12)
-        assert found["valve"]["static_gain"] == pytest.approx(0.829, rel=0.2)
+        assert after == {**before, **found["applied"]} and after["controller"] == "dcarc"
+        told = files.load(str(tmp_path / "kept" / "tuned.yaml"))["controller"]
+        assert told.items() >= found["applied"].items() and told["u_max"] == 9.0
+        assert found["valve"]["friction"]["coulomb"] == pytest.approx(0.6, abs=0.06)
+        assert found["valve"]["static_gain"] == pytest.approx(0.829, rel=0.03)
+        assert found["valve"]["offset"] == pytest.approx(0.2, abs=0.03)
         with commission(tmp_path, "--undo") as child:
-            assert ended(seen, child) == 0, (tmp_path / "said.log").read_text()
-        log = tmp_path / "said.log"
-        again = ["--controller", "dcarc", "--alone", *QUICK, "--resume", str(tmp_path / "kept")]
-        with commission(tmp_path, *again) as child:
-            spin_until(
-                ros, lambda: "sets of gains" in log.read_text() or child.poll() is not None, "a search", 120.0
-            )
-            assert "slow triangle of the voltage" not in log.read_text() and child.poll() is None
-            child.send_signal(signal.SIGINT)
-            assert ended(seen, child) == 130
+            assert ended(seen, child) == 0, log.read_text()
         assert seen.parameters() == before and seen.active()
 
 

@@ -27,11 +27,13 @@ def sine(amplitude, frequency, seconds=3.0):
 
 def problem(wanted, law="dcarc", **changes):
     values = changed.controller(controller=law, **changes)
-    return Problem(values, [TuningMotion("wanted", wanted)], [], [], trial.USUAL, False, 1)
+    return Problem(
+        values, [TuningMotion("wanted", wanted)], [], [], trial.USUAL._replace(pause_s=0.05), False, 1
+    )
 
 
 def shortest(wanted, law="dcarc", **changes):
-    return pauses.shortest(LAWS[law], problem(wanted, law, **changes), GAINS)
+    return pauses.unborne(LAWS[law], problem(wanted, law, **changes), [GAINS])[0]
 
 
 def reference(commands, **changes):
@@ -116,12 +118,8 @@ def test_what_is_not_reshaped_and_what_is_known_ahead_is_not_looked_at():
     wanted = sine(1.0, 12.0)
     settings = {"reshaping__natural_frequency": 800.0}
     assert shortest(wanted, **settings) < math.inf
-    assert shortest(wanted, "pid", pid__form="plain", **settings) is None
-    ahead = problem(wanted, **settings)._replace(preview=True)
-    assert pauses.shortest(LAWS["dcarc"], ahead, GAINS) is None
-    assert pauses.as_text(None) == "not looked at" and pauses.unborne(LAWS["dcarc"], ahead, [GAINS]) == [
-        math.inf
-    ]
-    none = problem(wanted, **settings)
-    none = none._replace(limits=trial.USUAL._replace(pause_s=0.0))
-    assert pauses.unborne(LAWS["dcarc"], none, [GAINS]) == [math.inf]
+    assert shortest(wanted, "pid", pid__form="plain", **settings) == math.inf
+    reshaped = problem(wanted, **settings)
+    none = trial.USUAL._replace(pause_s=0.0)
+    for other in (reshaped._replace(preview=True), reshaped._replace(limits=none)):
+        assert pauses.unborne(LAWS["dcarc"], other, [GAINS]) == [math.inf]

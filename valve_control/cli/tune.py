@@ -31,8 +31,7 @@ from valve_control.parameter import ParameterError, Values, word
 if TYPE_CHECKING:
     from valve_control.control.laws.law import Law
     from valve_control.design.recorded_tuning import RecordedRun
-    from valve_control.design.tuning.request import Outcome, Request, Task
-    from valve_control.design.tuning.search_log import SearchLog
+    from valve_control.design.tuning.request import Outcome, Request
     from valve_control.design.tuning.trial import TuningLimits, TuningMotion
     from valve_control.design.tuning.tuner import Tuned
 
@@ -136,10 +135,6 @@ def _search_options(group: Any) -> None:
     group.add_argument(
         "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="number of threads (all cores)"
     )
-    group.add_argument(
-        "--folder",
-        help="folder in which a stopped search is kept, to resume it (out/tune-…, one for each request)",
-    )
 
 
 def _tune(arguments: argparse.Namespace) -> int:
@@ -151,19 +146,19 @@ def _tune(arguments: argparse.Namespace) -> int:
     check_outputs(arguments, list(paths.values()))
     task = request.task_of(asked)
     tell_notes(task.notes)
-    log, folder = request.log_of(task, arguments.folder, arguments.threads)
-    outcome = _searched(task, log, folder)
+    progress = Progress(sum(task.budgets), "sets of gains")
+    progress(0)
+    outcome = request.search(task, arguments.threads, lambda done, law: progress(done, f" ({law})"))
     files = {name: paths[name] for name, one in outcome.tuned.items() if paths and one.chosen.holds}
     result = request.as_dict(outcome, files)
     if recorded is not None:
         from valve_control.design import recorded_tuning
 
-        result["recording"] = recorded_tuning.as_dict(recorded, outcome.tuned, task.seen.values)
+        result["recording"] = recorded_tuning.as_dict(recorded)
     for name, path in files.items():
         _save(arguments, path, task.seen.values, outcome.tuned[name])
-    _tell(arguments, outcome, result)
+    _tell(arguments, outcome)
     write_json(arguments, result)
-    log.delete()
     accepted = [name for name, one in outcome.tuned.items() if one.chosen.holds]
     return 0 if len(accepted) == len(asked.laws) else FAILED
 
@@ -299,35 +294,6 @@ def _paths(output: str | None, laws: "Sequence[Law]") -> dict[str, str]:
     return {law.name: str(path.with_name(f"{path.stem}_{law.name}{path.suffix}")) for law in laws}
 
 
-def _searched(task: "Task", log: "SearchLog", folder: Path) -> "Outcome":
-    """Search for all laws; tells how much is done, and after Ctrl-C how to go on."""
-    from valve_control.design.tuning import request
-
-    total, tried = sum(task.budgets), 0
-    progress, replays = Progress(total, "sets of gains"), log.replays
-    if not replays:
-        progress(0)
-
-    def told(done: int, law: str) -> None:
-        nonlocal tried, replays
-        tried = done
-        if log.replays:
-            return
-        if replays:
-            print(f"{done} of {total} sets of gains were tried already", file=sys.stderr)
-        replays = False
-        progress(done, f" ({law})")
-
-    try:
-        return request.search(task, log, told)
-    except KeyboardInterrupt:
-        if tried:
-            log.write()
-            text = f"{tried} of {total} sets of gains are in {folder}; the same command goes on"
-            print(f"stopped; {text}", file=sys.stderr)
-        raise
-
-
 def _save(arguments: argparse.Namespace, path: str, values: Values, one: "Tuned") -> None:
     from valve_control.control.parameters import ros_file
     from valve_control.design.tuning import tuner, verification
@@ -344,7 +310,7 @@ def _save(arguments: argparse.Namespace, path: str, values: Values, one: "Tuned"
     wrote(arguments, path)
 
 
-def _tell(arguments: argparse.Namespace, outcome: "Outcome", result: Mapping[str, Any]) -> None:
+def _tell(arguments: argparse.Namespace, outcome: "Outcome") -> None:
     """Print reasons and notes on standard error, and the tables unless JSON goes there."""
     for text in outcome.missing.values():
         print(text, file=sys.stderr)
@@ -357,8 +323,6 @@ def _tell(arguments: argparse.Namespace, outcome: "Outcome", result: Mapping[str
         return
     if outcome.tuned:
         _print(outcome.tuned)
-    if "recording" in result:
-        _print_recording(result["recording"])
 
 
 def _print(found: "Mapping[str, Tuned]") -> None:
@@ -385,15 +349,3 @@ def _print(found: "Mapping[str, Tuned]") -> None:
     print(f"on {valves} valves that the search did not see; margins: the least in the box")
     for name, one in found.items():
         print("\n".join(limits.as_text(one.limits, f"sets of gains of {name}")))
-
-
-def _print_recording(about: Mapping[str, Any]) -> None:
-    rows = {
-        "measured": about["measured"],
-        "simulated as it was": about["simulated_as_it_was"],
-        **{f"simulated with new {name}": row for name, row in about["simulated_with"].items()},
-    }
-    print("on the recorded command:")
-    for name, row in rows.items():
-        errors = f"e_rms {1e3 * row['e_rms']:8.2f} mV   e_M {1e3 * row['e_M']:8.1f} mV"
-        print(f"  {name:28} {errors}   c_u {row['c_u']:.3f}")

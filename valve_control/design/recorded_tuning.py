@@ -1,37 +1,30 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Tunes on a recording of normal operation: its valve, controller and command, and a simulation of them."""
+"""Tunes on a recording of normal operation: on its valve, controller and command."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from valve_control.control.analysis.indices import Indices, indices
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation.robustness import Quantity, Settings
 from valve_control.design.commissioning import recorded as learning
 from valve_control.design.commissioning.recorded import RecordedValve
 from valve_control.design.identification import recorded as tests
-from valve_control.design.tuning import box, tuner
+from valve_control.design.tuning import box
 from valve_control.design.tuning.trial import TuningMotion
-from valve_control.design.tuning.tuner import Tuned
 from valve_control.parameter import ParameterError, Values, number, updated
-from valve_control.recordings import recording, what_if
+from valve_control.recordings import recording
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.recording import Aligned, Recording, ValveRecording
+from valve_control.recordings.recording import Recording, ValveRecording
 
 
 class RecordedRun(NamedTuple):
-    """A recorded run, and what it says of its valve."""
+    """What a recorded run says of its valve, and what to tune on."""
 
-    valve: ValveRecording
-    signals: Aligned
     fitted: RecordedValve
     settings: Settings  # parameters by node
     box: list[Quantity]  # around the fitted valve
     motion: TuningMotion
-    measured: Indices
     notes: Sequence[str]
 
 
@@ -59,28 +52,18 @@ def recorded_run(
         _controller(valve, settings["controller"], chosen),
         {"sample_period": tested.period, "u_max": number(fitted.values, "u_max")},
     )
-    signals = recording.align(valve)
-    known = np.isfinite(signals.command) & np.isfinite(signals.measurement) & np.isfinite(signals.voltage)
-    measured = indices(
-        np.where(known, signals.measurement - signals.command, 0.0),
-        np.where(known, signals.voltage, 0.0),
-        tested.period,
-        known,
-    )
-    wanted = learning.motion(signals.command, tested.period, number(controller, "command_limit"))
+    command = recording.align(valve).command
+    wanted = learning.motion(command, tested.period, number(controller, "command_limit"))
     if float(wanted.max() - wanted.min()) == 0.0:
         raise ParameterError(f"{name} has no excitation: its command does not move")
     source = {**settings["command_source"], "sample_period": tested.period}
     own = {"controller": controller, "valve_simulator": fitted.values, "command_source": source}
     box.check_reach(fitted.values, float(wanted[abs(wanted).argmax()]), f"of {name}")
     return RecordedRun(
-        valve=valve,
-        signals=signals,
         fitted=fitted,
         settings={**settings, **own},
         box=learning.box(fitted, quantities),
         motion=TuningMotion(name, wanted),
-        measured=measured,
         notes=[*fitted.notes, *tested.notes],
     )
 
@@ -96,17 +79,8 @@ def _controller(valve: ValveRecording, usual: Values, chosen: Values) -> Values:
     return updated(CONTROLLER, values, chosen)
 
 
-def as_dict(run: RecordedRun, tuned: Mapping[str, Tuned], values: Values) -> dict[str, Any]:
-    """For JSON: what was measured, and what the gains of then and of now give on the recorded command.
-
-    ``values``: those of the controller around which the gains were searched.
-    """
-    before = run.settings["controller"]
-
-    def simulated(controller: Values) -> dict[str, float]:
-        replayed = what_if.replay(run.valve, run.signals, controller, run.fitted.values).run
-        return {**replayed.indices._asdict(), "true_e_rms": replayed.true_error["e_rms"]}
-
+def as_dict(run: RecordedRun) -> dict[str, Any]:
+    """For JSON: the quantities of the fitted valve, and the rms residual [V] of its readings."""
     return {
         "valve": {
             one.name: {
@@ -117,10 +91,4 @@ def as_dict(run: RecordedRun, tuned: Mapping[str, Tuned], values: Values) -> dic
             for one in run.fitted.learnt
         },
         "residual": run.fitted.residual,
-        "measured": run.measured._asdict(),
-        "simulated_as_it_was": simulated(before),
-        "simulated_with": {
-            name: simulated({**before, **tuner.parameters_of(name, values, one.chosen)})
-            for name, one in tuned.items()
-        },
     }

@@ -16,7 +16,7 @@ from valve_control.design.commissioning import plant
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.sequence import Result
 from valve_control.design.identification import bode, result
-from valve_control.design.tuning import limit_cycles, pauses, verification
+from valve_control.design.tuning import limit_cycles, verification
 
 THIN = 5  # every n-th sample of the slow triangle is drawn
 
@@ -155,8 +155,6 @@ def _margins(found: Result) -> str:
         (f"valves that do not rest within {limit_cycles.HELD:g} s", unseen["restless"]),
     ]
     texts = [[name, "without end" if v is None else f"{v:.3g}"] for name, v in rows]
-    pause = pauses.as_text(found.tuned.chosen.verified.pause_s)
-    texts.append(["pause of the command after which the reference does not come back [ms]", pause])
     return "<p>The least over a box around this valve.</p>" + pages.table(["", ""], texts)
 
 

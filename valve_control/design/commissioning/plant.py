@@ -4,17 +4,10 @@
 
 The response without friction is where the search begins. At low frequencies the spool sticks at each turn,
 which no response shows; simulated, it does the same.
-
-Some valves swing on the bristles of their friction at any voltage, by some mV at 20 to 40 Hz, whereby their
-friction turns into damping: they move at a voltage far below it. No model without bristles shows this, and
-near one that does the error is not smooth. So where least squares leave much of the motion unexplained, an
-evolution strategy (CMA-ES, pycma) searches the same valves with bristles.
 """
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,25 +41,12 @@ EXPLAINED = 3.0  # error up to which a model describes the valve
 SUSPECT = 0.75  # error from which on a valve with solenoids is tried
 AS_GOOD = 1.05  # times the error of the valve with solenoids, up to which a linear one stands for it
 SIMPLER = 0.8  # times the error of the linear valve, under which that with solenoids counts
-PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.1  # V  of the bristles: first guess and bounds
-POPULATION, TRIALS = 24, 2500  # valves with bristles that are simulated: with fewer the search ends anywhere
-FIRST_POLE = (
-    0.45  # of the bound, the fastest pole with which a search begins: a coefficient may be a sum of two
-)
+FIRST_POLE = 0.45  # of the bound, the fastest pole of a search at first: a coefficient may be a sum of two
 AWAY = 0.1  # of the logarithms of coefficients, from their bounds, where a search begins
-FIRST_STEP = 0.2  # of the spreads of their search
-# Times the speed of the second order without bristles, where their searches begin: of six searches about four
-# end at the valve, whichever speed they begin from.
-SPEEDS = (1.0, 2.0, 1.0, 2.0)
-DOUBTED = 2  # of these searches, after which there are no bristles if none came nearer with them
-HIDDEN = 2.5  # times the friction that shows, where they begin: of a spool that swings most of it does not
-FASTER = 4.0  # times that speed, the pole beside the quadratic
 # Of a pole beyond these nothing but its lag shows, and a search would go on with it to infinity: the tests
 # end at 100 Hz or below, and at a fifth of the sampling frequency.
 SLOWEST_POLE = 0.01  # rad/s
 FASTEST_POLE, FASTEST_SPEED = 10.0, 6000.0  # radians a sample and rad/s, the smaller of which bounds it
-NEARER = 0.5  # times the error without bristles, under which they count
-SEED = 1
 NO_STOPS: Values = {"solenoid.stop_low": -1000.0, "solenoid.stop_high": 1000.0}  # V  the tests show none
 
 
@@ -125,29 +105,18 @@ def fitted(
     """The valve whose simulation comes nearest to ``records``, of the order of one of ``fits``.
 
     ``friction`` and ``offset`` [V] are first guesses. Where none explains the readings, the forms of
-    ``richer`` are tried too. Where none of these does, valves with bristles are searched, on so many
-    ``threads``, with the same result. ``tell`` is called after each simulation; what it raises ends the
-    search.
+    ``richer`` are tried too, and a valve with solenoids, on so many ``threads``, with the same result.
+    ``tell`` is called after each simulation; what it raises ends the search.
     """
     ordered = sorted(fits, key=lambda f: f.order)
     tests = _Tests(records, [_weight(record, rest) for record in records], tell, threads)
     best = _best([_near(tests, fit, friction, offset) for fit in ordered])
     if best.error > EXPLAINED:
         best = _best([best, *(_near(tests, fit, friction, offset) for fit in richer())])
-    if friction.coulomb == 0.0:
-        return best
-    if best.error > SUSPECT:
+    if friction.coulomb > 0.0 and best.error > SUSPECT:
         solenoids = _with_solenoids(tests, _third(fits, best), friction, offset)
         if solenoids.error < SIMPLER * best.error:
             best = _linear_if_as_good(tests, solenoids)
-    bare, shown = best, max(friction.coulomb, best.friction.coulomb)
-    slow = abs(ordered[0].model.denominator[-1]) ** (1.0 / ordered[0].order)
-    for number, factor in enumerate(SPEEDS):
-        if best.error <= EXPLAINED or (number >= DOUBTED and best is bare):
-            break
-        bristles = _with_bristles(tests, bare, factor * slow, HIDDEN * shown, SEED + number)
-        if bristles.error < min(NEARER * bare.error, best.error):
-            best = bristles
     return best
 
 
@@ -241,15 +210,13 @@ class _Form(NamedTuple):
     """What the unknowns of a search mean.
 
     Of each pair of poles, then of a single real one, logarithms of the coefficients, which stay between those
-    of the slowest and of the fastest pole; numerator over its static part; with bristles the logarithm of
-    their presliding over the usual one; friction [V], offset [V], dead time [periods]. All are of the size
-    of 1.
+    of the slowest and of the fastest pole; numerator over its static part; friction [V], offset [V], dead
+    time [periods]. All are of the size of 1.
     """
 
     order: int
     zeros: int  # coefficients of the numerator
     static_ratio: float
-    bristles: bool
     period: float  # s
 
     @property
@@ -267,8 +234,7 @@ class _Form(NamedTuple):
         ascending = [x[self.order + i] * denominator[-1] * scale**-i for i in range(self.zeros)]
         model = TransferFunction(tuple(map(float, ascending[::-1])), tuple(map(float, denominator)))
         friction = Friction(max(0.0, float(x[-3])), self.static_ratio)
-        presliding = PRESLIDING * math.exp(x[-4] - 1.0) if self.bristles else 0.0
-        return Plant(model, friction, -float(x[-2]), float(x[-1]) * self.period, math.inf, presliding)
+        return Plant(model, friction, -float(x[-2]), float(x[-1]) * self.period, math.inf)
 
     def coefficients(self) -> tuple[Floats, Floats]:
         """Least and largest unknowns of the poles; those beyond are taken for these."""
@@ -280,11 +246,9 @@ class _Form(NamedTuple):
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Lower and upper bounds of the unknowns."""
-        count = self.order + self.zeros + 3 + self.bristles
+        count = self.order + self.zeros + 3
         lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
         lower[-3], lower[-1], upper[-1] = 0.0, 0.0, self.latest
-        if self.bristles:
-            lower[-4], upper[-4] = (1.0 + math.log(v / PRESLIDING) for v in (SHORTEST, LONGEST))
         return lower, upper
 
     def inside(self, x: Floats) -> Floats:
@@ -326,7 +290,7 @@ class _Tests(NamedTuple):
 
 def _near(tests: _Tests, fit: Fit, friction: Friction, offset: float) -> Plant:
     """The valve of the form of ``fit`` near it, with this ``friction`` and ``offset`` [V] at first."""
-    form = _Form(fit.order, len(fit.model.numerator), friction.static_ratio, False, tests.period)
+    form = _Form(fit.order, len(fit.model.numerator), friction.static_ratio, tests.period)
     return _refined(tests, form, _parameters(fit, friction, offset, tests.period))
 
 
@@ -378,62 +342,13 @@ def _linear_if_as_good(tests: _Tests, solenoids: Plant) -> Plant:
     return linear if linear.error <= AS_GOOD * solenoids.error else solenoids
 
 
-def _with_bristles(tests: _Tests, best: Plant, speed: float, friction: float, seed: int) -> Plant:
-    """A valve of third order with bristles, searched from the ``speed`` [rad/s] and ``friction`` [V] on.
-
-    Friction at rest is taken as large as in motion: of a spool that swings the tests do not show it.
-    """
-    import cma
-
-    form = _Form(3, 1, 1.0, True, tests.period)
-    gain = best.model.static_gain
-    begin = np.array(
-        [
-            1.0 + math.log(1.6 * speed),
-            1.0 + 2.0 * math.log(speed),
-            1.0 + math.log(FASTER * speed),
-            gain,
-            1.0,
-            friction,
-            -best.offset,
-            1.0,
-        ]
-    )
-    spread = np.array([1.5, 2.0, 1.5, 0.5 * abs(gain), 2.0, 2.0 * friction, 0.1, 4.0])
-    lower, upper = form.bounds()
-
-    def cost(x: Floats) -> float:
-        inside = np.clip(x, lower, upper)
-        size = tests.errors(form.plant(inside)) ** 2
-        return float(2.0 * np.mean(np.sqrt(1.0 + size) - 1.0) * (1.0 + np.sum((x - inside) ** 2)))
-
-    options = {
-        "seed": seed,
-        "popsize": POPULATION,
-        "verbose": -9,
-        "CMA_stds": spread,
-        "maxfevals": TRIALS,
-    }
-    with warnings.catch_warnings(), ThreadPoolExecutor(tests.threads) as pool:
-        warnings.simplefilter("ignore")
-        strategy = cma.CMAEvolutionStrategy(begin, FIRST_STEP, options)
-        while not strategy.stop():
-            asked = strategy.ask()
-            costs = []
-            for one in pool.map(cost, asked):
-                tests.tell()
-                costs.append(one)
-            strategy.tell(asked, costs)
-    return _refined(tests, form, np.clip(strategy.result.xbest, lower, upper))
-
-
 def _fastest(period: float) -> float:
     """Bound of the poles [rad/s]."""
     return min(FASTEST_POLE / period, FASTEST_SPEED)
 
 
 def _parameters(fit: Fit, friction: Friction, offset: float, period: float) -> Floats:
-    """Unknowns of a search that begins at ``fit``, without bristles."""
+    """Unknowns of a search that begins at ``fit``."""
     fitted_roots = np.roots(fit.model.denominator)
     factor = np.minimum(1.0, FIRST_POLE * _fastest(period) / np.abs(fitted_roots))
     roots = sorted(factor * fitted_roots, key=lambda root: (abs(root), root.imag))

@@ -49,7 +49,7 @@ PID = "pid"  # that is tuned beside another law
 QUIETER = ((1.0, "again"), (0.5, "once more"))  # power of what is too loud, by which the limit is lowered
 SIMULATIONS = 600.0  # about, of the step "model"
 REST, SLOW, SINE = "noise at rest", "slow triangle", "stepped sine"  # the tests
-SEARCH = "search"  # during which pauses are counted
+SEARCH, LAST = "search", "new gains"  # steps without a course, in which pauses are counted
 Courses = Callable[[int, Mark], Course]  # the rest of a step from a stretch on, from rest
 T = TypeVar("T")
 
@@ -208,10 +208,7 @@ class _Commissioning:
             self._look()
             self._steps.progress("model", SIMULATIONS, SIMULATIONS)
         chosen, verified, refusals = self._accepted(tests, known)
-        self._ask("the new gains stay; voltage and travel get their limits from before back")
-        final = {**before, **chosen.changes}
-        restore(self._bench, final)
-        self._bench.watch(self._limits._replace(voltage=u_max, travel=number(before, "lvdt.limit")))
+        final = self._kept(chosen.changes)
         answers = [record.latency for record in (tests.slow, tests.sine) if record is not None]
         way = spread(np.concatenate([np.empty(0), *answers]))
         notes = [
@@ -282,6 +279,14 @@ class _Commissioning:
         restore(self._bench, {**self._before, **limiting(self._before, self._limits)})
         self._at_rest(SPRING)
         self._bench.apply({"lvdt.limit": self._limits.travel})
+
+    def _kept(self, changes: Values) -> Values:
+        """Set ``changes`` for good, with the limits and the rest from before; returns all."""
+        self._ask("the new gains stay; voltage and travel get their limits from before back")
+        final = {**self._before, **changes}
+        restore(self._bench, final)
+        self._look(voltage=number(final, "u_max"), travel=number(final, "lvdt.limit"), step=LAST)
+        return final
 
     def _accepted(self, tests: Tests, known: model.Known) -> tuple[TunedGains, Verification, list[str]]:
         """Gains that hold, also on the valve, and notes on those that did not. Raises ParameterError."""
@@ -517,13 +522,16 @@ class _Commissioning:
             return priority.in_background(work, tell)
         return work(tell)
 
-    def _look(self) -> None:
-        """Look at what has come during a search at 0 V; a pause is counted and nothing else."""
+    def _look(self, step: str = SEARCH, **limits: float) -> None:
+        """Look at what has come while no course is driven; a pause spoils nothing then, and is counted.
+
+        ``limits`` [V]: that are others than usual.
+        """
         try:
-            self._bench.watch(self._limits)
+            self._bench.watch(self._limits._replace(**limits))
         except Pause:
             now = time.monotonic()
-            self._pauses[SEARCH] += now > self._paused + APART
+            self._pauses[step] += now > self._paused + APART
             self._paused = now
 
     def _ask(self, text: str) -> None:

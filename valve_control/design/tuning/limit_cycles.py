@@ -23,7 +23,7 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import registry
 from valve_control.control.simulation import batch
 from valve_control.design.tuning import trial
-from valve_control.design.tuning.trial import GainSet, Problem, TuningLimits, TuningMotion, Workers
+from valve_control.design.tuning.trial import GainSet, Problem, Threads, TuningLimits, TuningMotion
 from valve_control.parameter import Values, number, updated
 
 Valves = npt.NDArray[np.int64]  # numbers of valves
@@ -84,19 +84,15 @@ def stressed(plants: Sequence[Any], limits: TuningLimits) -> list[Any]:
 
 
 def restless_shares(
-    law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None
+    law: Law, problem: Problem, several: Sequence[GainSet], threads: Threads = None
 ) -> list[float]:
     """Share of the ``stressed`` box of ``problem`` on which each of ``several`` does not rest after steps.
 
     It has HELD for it. The last of the steps goes FARTHER than the motions. What counts: see ``after_all``.
     """
     hard, tried = stressed(problem.box, problem.limits), _tried(problem, HELD, FARTHER)
-
-    def simulated(threads: int | None) -> list[Floats]:
-        found = _restless(law, problem, several, hard, tried, HELD, threads)
-        return [np.array(len(restless) / len(hard)) for restless in found]
-
-    return [float(share) for share in trial.logged(workers, simulated)]
+    found = _restless(law, problem, several, hard, tried, HELD, threads)
+    return [len(restless) / len(hard) for restless in found]
 
 
 def _tried(problem: Problem, held: float, farther: float = 1.0) -> list[TuningMotion]:
@@ -115,7 +111,7 @@ def after_all(
     problem: Problem,
     gains: GainSet,
     plants: Sequence[Any],
-    workers: Workers = None,
+    threads: Threads = None,
     held: float = HELD,
 ) -> Valves:
     """Numbers of the ``plants`` on which the loop does not rest after one of the ``steps`` or motions.
@@ -127,7 +123,7 @@ def after_all(
     answers it with harmonics, which are no limit cycle.
     """
     tried = [*_tried(problem, held), *(_held(motion, held, problem.period) for motion in problem.motions)]
-    return _restless(law, problem, [gains], plants, tried, held, trial.threads_of(workers))[0]
+    return _restless(law, problem, [gains], plants, tried, held, threads)[0]
 
 
 def _restless(
@@ -137,7 +133,7 @@ def _restless(
     plants: Sequence[Any],
     tried: Sequence[TuningMotion],
     held: float,
-    threads: int | None,
+    threads: Threads,
 ) -> list[Valves]:
     """Numbers of the ``plants``, for each of ``several``, on which the loop swings after being ``held`` [s].
 
@@ -217,7 +213,7 @@ def _turns(swing: Floats, beyond: float) -> int:
 
 
 def _by_feedback(
-    values: Values, plants: Sequence[Any], found: Mapping[int, _Swing], threads: int | None
+    values: Values, plants: Sequence[Any], found: Mapping[int, _Swing], threads: Threads
 ) -> Valves:
     """Loops of those ``found`` that are not the valve's own swings at a constant voltage."""
     numbers = sorted(found)

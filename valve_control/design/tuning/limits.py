@@ -16,14 +16,14 @@ import numpy as np
 from valve_control.control.laws.law import Law
 from valve_control.control.linear.margins import EDGE, Margins
 from valve_control.design.tuning import limit_cycles, overshoot, pauses, trial
-from valve_control.design.tuning.trial import GainSet, Problem, TuningLimits, Workers
+from valve_control.design.tuning.trial import GainSet, Problem, Threads, TuningLimits
 
 MARGINS = "hard"
 KEPT = "hard where it can be kept"
 WISH = "wish"
 
 
-Measure = Callable[[Law, Problem, Sequence[GainSet], Workers], list[float]]
+Measure = Callable[[Law, Problem, Sequence[GainSet], Threads], list[float]]
 
 
 class Limit(NamedTuple):
@@ -44,10 +44,10 @@ class Limit(NamedTuple):
         """The limit that is asked for; none: infinite, or 0.0."""
         return float(getattr(limits, self.wanted) if isinstance(self.wanted, str) else self.wanted)
 
-    def value(self, law: Law, problem: Problem, gains: GainSet, workers: Workers = None) -> float:
+    def value(self, law: Law, problem: Problem, gains: GainSet, threads: Threads = None) -> float:
         """The measured value of ``gains``. Raises ParameterError for gains that ``law`` cannot have."""
         assert self.measure is not None, f"{self.name} is measured with others"
-        return self.measure(law, problem, [gains], workers)[0]
+        return self.measure(law, problem, [gains], threads)[0]
 
     def missed(self, value: float, wanted: float) -> bool:
         """Whether a ``value`` misses the limit ``wanted``."""
@@ -64,8 +64,8 @@ def _margin(name: str, unit: str, scale: float, wanted: str, margin: str) -> Lim
     return Limit(name, unit, scale, False, MARGINS, wanted, reason, margin=margin)
 
 
-def _saturation(law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers) -> list[float]:
-    return [float(np.mean(found.saturated)) for found in trial.run(law, problem, several, workers)]
+def _saturation(law: Law, problem: Problem, several: Sequence[GainSet], threads: Threads) -> list[float]:
+    return [float(np.mean(found.saturated)) for found in trial.run(law, problem, several, threads)]
 
 
 UNSTABLE = "a valve of the box makes the loop unstable (largest pole {value:.4f})"

@@ -23,24 +23,24 @@ from valve_control.control.analysis import steps
 from valve_control.control.laws.law import Law
 from valve_control.control.plant import registry
 from valve_control.design.tuning import trial
-from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion, Workers
+from valve_control.design.tuning.trial import GainSet, Problem, Threads, TuningMotion
 
 HEIGHTS = (-0.4, 0.0, 0.4, 0.0, 1.0, 0.4)  # of the reach of the motions
 HELD, SHORT = 1.0, 0.25  # s  that each is held, in verification and in a search
 LEARNT = 1.0  # s  of the motion before
 
 
-def answers(law: Law, problem: Problem, gains: GainSet, workers: Workers = None) -> Floats:
+def answers(law: Law, problem: Problem, gains: GainSet, threads: Threads = None) -> Floats:
     """Overshoot [-] and settling time [s] (2×S×N) of N valves in S steps, with ``gains``.
 
     Infinite where a run does not stay finite, or does not settle within HELD.
     """
-    return _answers(law, problem, [gains], workers, HELD)[0]
+    return _answers(law, problem, [gains], threads, HELD)[0]
 
 
-def medians(law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None) -> list[float]:
+def medians(law: Law, problem: Problem, several: Sequence[GainSet], threads: Threads = None) -> list[float]:
     """Overshoot [-] with each of ``several`` in steps that are held for SHORT: ``typical``."""
-    return [typical(rows[0]) for rows in _answers(law, problem, several, workers, SHORT)]
+    return [typical(rows[0]) for rows in _answers(law, problem, several, threads, SHORT)]
 
 
 def typical(rows: Floats) -> float:
@@ -67,19 +67,15 @@ def tried(period: float, motions: Sequence[TuningMotion], held: float = HELD) ->
 
 
 def _answers(
-    law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers, held: float
+    law: Law, problem: Problem, several: Sequence[GainSet], threads: Threads, held: float
 ) -> list[Floats]:
     motion, first = tried(problem.period, problem.motions, held)
-
-    def simulated(threads: int | None) -> list[Floats]:
-        quiet = [registry.plant_of(p).quiet(p) for p in problem.plants]
-        loops = trial.Loops(law, problem, several, quiet, 0)
-        led = loops.commands(motion, problem._replace(preview=False, delivery=None))
-        traces = np.empty((loops.count, len(motion), 3))
-        loops.run(motion, led, threads, traces=traces)
-        with np.errstate(invalid="ignore"):
-            found = steps.answers(motion[first - 1 :], traces[:, first - 1 :, 0], problem.period)
-        rows = np.nan_to_num(np.array(found).swapaxes(0, 1), nan=math.inf, posinf=math.inf)
-        return np.split(rows, len(several), axis=2)
-
-    return trial.logged(workers, simulated)
+    quiet = [registry.plant_of(p).quiet(p) for p in problem.plants]
+    loops = trial.Loops(law, problem, several, quiet, 0)
+    led = loops.commands(motion, problem._replace(preview=False, delivery=None))
+    traces = np.empty((loops.count, len(motion), 3))
+    loops.run(motion, led, threads, traces=traces)
+    with np.errstate(invalid="ignore"):
+        found = steps.answers(motion[first - 1 :], traces[:, first - 1 :, 0], problem.period)
+    rows = np.nan_to_num(np.array(found).swapaxes(0, 1), nan=math.inf, posinf=math.inf)
+    return np.split(rows, len(several), axis=2)

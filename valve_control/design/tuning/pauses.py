@@ -19,29 +19,36 @@ from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.laws.law import Law
 from valve_control.design.tuning import trial
-from valve_control.design.tuning.trial import GainSet, Problem, Workers
+from valve_control.design.tuning.trial import GainSet, Problem, Threads
 from valve_control.parameter import Values, number
 
 EVERY = 0.41  # s  from one pause to the next
 OFFSETS = 8  # places of the first one
 SEEN = 0.1  # s  before the next pause, in which the reference has to be back
 BACK = 0.1  # of the reach of the motion, within which it is
-LONGEST = 0.05  # s  that is tried
 STEP = 0.002  # s  from one length to the next
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
-def shortest(law: Law, problem: Problem, gains: GainSet, longest: float = LONGEST) -> float | None:
-    """The shortest pause [s] of a command, up to ``longest``, after which the reference does not come back.
+def unborne(law: Law, problem: Problem, several: Sequence[GainSet], threads: Threads = None) -> list[float]:
+    """The shortest pause [s] of a command with each of ``several`` gains, after which it goes wrong.
 
-    Of the ``lengths``, at OFFSETS places of each of the motions; infinite if it always does. None for what is
-    not looked at: a law that does not reshape, and motions that are known ahead, which come with their rate
-    and acceleration.
+    That is, the reference does not come back. It is below the limit of ``problem``, up to which they are
+    tried; inf: none.
+    """
+    return [_shortest(law, problem, gains) for gains in several]
+
+
+def _shortest(law: Law, problem: Problem, gains: GainSet) -> float:
+    """Of every STEP of length, at OFFSETS places of each of the motions.
+
+    Infinite for what is not looked at too: a law that does not reshape, and motions that are known ahead,
+    which come with their rate and acceleration.
     """
     values = trial.values_with(problem, gains)
     params = trial.built(law, values)
     if problem.preview or not law.reshapes(params):
-        return None
+        return math.inf
     period, limit = number(values, "sample_period"), number(values, "command_limit")
     lead = command_lead.build(values, True) or _none(values)
     fill = compile_function(_fill, nogil=True)
@@ -60,39 +67,14 @@ def shortest(law: Law, problem: Problem, gains: GainSet, longest: float = LONGES
             first = round((i * GOLDEN) % 1.0 * every)
             looked_at = (np.arange(len(commands)) - first) % every >= every - seen
             tried.append((commands, first, undisturbed[looked_at], looked_at, allowed))
-    for pause in lengths(period, longest, problem.limits.pause_s):
+    most = problem.limits.pause_s
+    times = [t for t in (*(STEP * (i + 1) for i in range(math.floor(most / STEP + 1e-6))), most) if t > 0.0]
+    for pause in sorted({max(1, math.floor(time / period + 1e-6)) for time in times}):
         for commands, first, wanted, looked_at, allowed in tried:
             away = np.abs(reference(commands, pause, first)[looked_at] - wanted)
             if np.max(away, initial=0.0) > allowed:
-                return pause * period
+                return math.nextafter(min(pause * period, most), 0.0)
     return math.inf
-
-
-def unborne(law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None) -> list[float]:
-    """The ``shortest`` pause [s] up to the limit of ``problem`` with each of ``several``; inf: none.
-
-    It is below the limit.
-    """
-    most = problem.limits.pause_s
-    found = [shortest(law, problem, gains, most) or math.inf for gains in several]
-    return [pause if math.isinf(pause) else math.nextafter(min(pause, most), 0.0) for pause in found]
-
-
-def as_text(found: float | None) -> str:
-    """What ``shortest`` found, in ms."""
-    if found is None:
-        return "not looked at"
-    return f"{1e3 * found:.3g}" if math.isfinite(found) else f"none up to {1e3 * LONGEST:g}"
-
-
-def lengths(period: float, longest: float, limit: float) -> Sequence[int]:
-    """Pauses that are tried [samples], the shortest first: every STEP up to ``longest`` [s], and that.
-
-    And the ``limit`` [s], which is within; none for 0.0.
-    """
-    whole = [STEP * (i + 1) for i in range(math.floor(longest / STEP + 1e-6))]
-    times = [time for time in (*whole, longest, min(limit, longest)) if time > 0.0]
-    return sorted({max(1, math.floor(time / period + 1e-6)) for time in times})
 
 
 def _none(values: Values) -> command_lead.Params:

@@ -3,12 +3,9 @@
 """Takes a request to tune laws, makes the problems of search and verification of it, and carries it out."""
 
 from collections.abc import Callable, Container, Mapping, Sequence
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from valve_control.arrays import Floats
-from valve_control.control.compiling import sources_digest
 from valve_control.control.laws import linearisation, reshaping
 from valve_control.control.laws.free import entries_of
 from valve_control.control.laws.law import Law
@@ -20,13 +17,11 @@ from valve_control.control.simulation import offline
 from valve_control.control.simulation.delivery import Delivery
 from valve_control.control.simulation.robustness import Quantity, Settings
 from valve_control.design.tuning import box, tuner
-from valve_control.design.tuning.search_log import SearchLog, digest
 from valve_control.design.tuning.trial import Problem, TuningLimits, TuningMotion
 from valve_control.design.tuning.tuner import Aim, Tuned
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
 
 SHORTEST = 1.0  # s  of a motion
-PACKAGES = ("numpy", "scipy", "numba", "cma")  # that decide the bits of a search
 STRAIGHT = (
     "the simulated valve is a linear model, which stands for the valve and the inverse of its static curve "
     "together; the search has linearisation.enabled false"
@@ -171,28 +166,7 @@ def _controller(request: Request) -> tuple[Values, list[str]]:
     return values, notes
 
 
-def log_of(task: Task, folder: str | None, threads: int) -> tuple[SearchLog, Path]:
-    """The log of a search in ``folder``, None: one in out/ for each request; and the folder.
-
-    Raises ParameterError, and OSError for a given folder that cannot be written.
-    """
-    request = task.request
-    asked: dict[str, Any] = {
-        "laws": [law.name for law in request.laws],
-        "budget": request.budget,
-        "chatter": request.chatter,
-        "problems": [task.seen, task.unseen],
-        "sources": sources_digest(),
-        "packages": {name: version(name) for name in PACKAGES},
-    }
-    key = digest(asked)
-    path = Path("out", f"tune-{'-'.join(asked['laws'])}-{key[:8]}") if folder is None else Path(folder)
-    if folder is not None:
-        path.mkdir(parents=True, exist_ok=True)
-    return SearchLog(path, key, threads), path
-
-
-def search(task: Task, log: SearchLog, told: Callable[[int, str], None]) -> Outcome:
+def search(task: Task, threads: int, told: Callable[[int, str], None]) -> Outcome:
     """Tune all laws of a ``task``. ``told`` gets the sets of gains tried so far, and the law.
 
     Raises ParameterError if the only law has no gains that can be used.
@@ -206,7 +180,7 @@ def search(task: Task, log: SearchLog, told: Callable[[int, str], None]) -> Outc
         aim = Aim(request.chatter, firm=False)
         try:
             outcome.tuned[law.name] = tuner.tuned(
-                law, task.seen, task.unseen, aim, request.budget, request.seed, told_of, log
+                law, task.seen, task.unseen, aim, request.budget, request.seed, told_of, threads
             )
         except ParameterError as error:
             if len(request.laws) == 1:

@@ -40,7 +40,7 @@ from valve_control.control.laws.reshaping import LEAD_ACCEL
 from valve_control.control.linear import margins
 from valve_control.design import evolution
 from valve_control.design.tuning import designs, limits, trial
-from valve_control.design.tuning.trial import AHEAD, GainSet, Problem, TrialResult, Workers
+from valve_control.design.tuning.trial import AHEAD, GainSet, Problem, Threads, TrialResult
 from valve_control.parameter import ParameterError, Values
 
 Told = Callable[[int], None]  # sets of gains tried so far
@@ -148,12 +148,12 @@ class _Trials:
         law: Law,
         problem: Problem,
         free: Sequence[Free],
-        workers: Workers,
+        threads: Threads,
         chatter: float | None = None,
     ) -> None:
         self.points: list[EvaluatedGains] = []
         self.tried = self.missed = 0
-        self._law, self._problem, self._free, self._workers = law, problem, free, workers
+        self._law, self._problem, self._free, self._threads = law, problem, free, threads
         self.box = margins.prepared(problem.box)
         self._rested: dict[tuple[float, ...], float] = {}  # share of the valves on which a set does not rest
         self._alert_until = 0  # number of the set of gains up to which those near the best are asked too
@@ -183,7 +183,7 @@ class _Trials:
                 kept.append(i)
         points: dict[int, EvaluatedGains] = {}
         if kept:
-            outcomes = trial.run(self._law, self._problem, [gains[i] for i in kept], self._workers)
+            outcomes = trial.run(self._law, self._problem, [gains[i] for i in kept], self._threads)
             for i, outcome in zip(kept, outcomes, strict=True):
                 point = _point(inside[i], gains[i], outcome)
                 missing = violations[i] or 0.0
@@ -267,7 +267,7 @@ class _Trials:
         measure = limits.BY_NAME[name].measure
         assert measure is not None
         gains = [point.gains for point in points]
-        found = measure(self._law, self._problem, gains, self._workers) if gains else []
+        found = measure(self._law, self._problem, gains, self._threads) if gains else []
         for value in found:
             self._count({name: value})
         return found
@@ -385,7 +385,7 @@ def search(
     budget: int,
     seed: int,
     told: Told,
-    workers: Workers = None,
+    threads: Threads = None,
     known: Sequence[Values] = (),
     chatter: float | None = None,
 ) -> SearchResult:
@@ -397,7 +397,7 @@ def search(
     free = trial.free_numbers(law, problem.values, problem.preview, problem.scale)
     if not free:
         raise ParameterError(f"{law.name} has no gains to choose; there is nothing to tune")
-    trials = _Trials(law, problem, free, workers, chatter)
+    trials = _Trials(law, problem, free, threads, chatter)
 
     def judge(several: Sequence[Floats], chatter: float, wall: float = WALL) -> Judged:
         found = trials.judged(several, chatter, wall)

@@ -18,10 +18,9 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant.models import D3FXE, Scale
 from valve_control.control.simulation import batch, delivery
 from valve_control.control.simulation.delivery import Delivery
-from valve_control.design.tuning.search_log import SearchLog
 from valve_control.parameter import Value, Values, number, updated
 
-Workers = int | SearchLog | None  # threads (None: all cores), or the log of a search with its threads
+Threads = int | None  # None: all cores
 AHEAD = Free("preview", 0.0, 0.03, logarithmic=False)  # s  by which a known motion is sent ahead, unreshaped
 TAIL = 95  # %
 SEEDS_OF_A_MOTION = 1000
@@ -46,7 +45,7 @@ class TuningLimits(NamedTuple):
     sensitivity_db: float  # at most
     swing: float  # V  at most; amplitude of swings about rest that friction sustains, by the loop
     saturated: float  # at most; share of the samples at the limit of the voltage
-    pause_s: float = 0.0  # s  of the command, after which the reference comes back; pauses.shortest is longer
+    pause_s: float = 0.0  # s  of the command, after which the reference comes back
     overshoot: float = math.inf  # -  of steps, at most, median of the valves
 
 
@@ -171,19 +170,6 @@ def given(law: Law, params: Any, values: Values, gains: GainSet, problem: Proble
     return np.interp(steps + gains.ahead / number(values, "sample_period"), steps, wanted)
 
 
-def threads_of(workers: Workers) -> int | None:
-    """Number of threads; None: all cores."""
-    return workers.threads if isinstance(workers, SearchLog) else workers
-
-
-def logged(workers: Workers, simulate: Callable[[int | None], Sequence[Floats]]) -> list[Floats]:
-    """What ``simulate`` computes on so many threads for each set of gains, or the log of a stopped search."""
-    threads = threads_of(workers)
-    if isinstance(workers, SearchLog):
-        return list(workers.result(lambda: np.array(simulate(threads))))
-    return list(simulate(threads))
-
-
 class Loops:
     """``several`` sets of gains of one law on N ``plants``: loop i is that of plant i % N.
 
@@ -215,7 +201,7 @@ class Loops:
         self,
         wanted: Floats,
         led: Floats,
-        threads: int | None,
+        threads: Threads,
         which: slice = slice(None),
         traces: Floats | None = None,
         later: int = 0,
@@ -240,23 +226,19 @@ class Loops:
         )
 
 
-def run(law: Law, problem: Problem, several: Sequence[GainSet], workers: Workers = None) -> list[TrialResult]:
+def run(law: Law, problem: Problem, several: Sequence[GainSet], threads: Threads = None) -> list[TrialResult]:
     """Results of ``several`` sets of gains on all plants and motions of ``problem``.
 
     Valve i has noise seed ``problem.seed`` + i, and another one on each motion.
     """
-
-    def simulated(threads: int | None) -> list[Floats]:
-        loops, found = Loops(law, problem, several, problem.plants, problem.seed), []
-        for i, motion in enumerate(problem.motions):
-            result = loops.run(
-                motion.wanted, loops.commands(motion.wanted), threads, later=SEEDS_OF_A_MOTION * i
-            )
-            rows = (result.true_e_rms, result.true_e_M, result.c_u, result.saturated)
-            found.append([row.reshape(len(several), -1) for row in rows])
-        return [np.array([[rows[k][j] for rows in found] for k in range(4)]) for j in range(len(several))]
-
-    return [TrialResult(*rows) for rows in logged(workers, simulated)]
+    loops, found = Loops(law, problem, several, problem.plants, problem.seed), []
+    for i, motion in enumerate(problem.motions):
+        led = loops.commands(motion.wanted)
+        result = loops.run(motion.wanted, led, threads, later=SEEDS_OF_A_MOTION * i)
+        rows = (result.true_e_rms, result.true_e_M, result.c_u, result.saturated)
+        found.append([row.reshape(len(several), -1) for row in rows])
+    by_gains = zip(*(zip(*rows, strict=True) for rows in found), strict=True)
+    return [TrialResult(*map(np.array, zip(*motions, strict=True))) for motions in by_gains]
 
 
 def violation(limits: TuningLimits, found: margins.Margins, share: float = 1.0) -> float:

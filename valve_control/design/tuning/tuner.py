@@ -14,7 +14,7 @@ from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.design.tuning import limits, search, verification
 from valve_control.design.tuning.search import EvaluatedGains, Told
-from valve_control.design.tuning.trial import GainSet, Problem, Workers
+from valve_control.design.tuning.trial import GainSet, Problem, Threads
 from valve_control.design.tuning.verification import Verified
 from valve_control.parameter import ParameterError, Value, Values, defaults, updated
 
@@ -96,7 +96,7 @@ def tuned(
     budget: int,
     seed: int,
     told: Told,
-    workers: Workers = None,
+    threads: Threads = None,
     verifying: Told = lambda tried: None,
     known: Sequence[Values] = (),
 ) -> Tuned:
@@ -122,7 +122,7 @@ def tuned(
             budget,
             seed,
             lambda done, before=tried: told(before + done),  # type: ignore[misc]
-            workers,
+            threads,
             known,
             aim.chatter,
         )
@@ -144,7 +144,7 @@ def tuned(
         if limit == "chatter":
             return aim.firm
         able = [p for _, p in points if limit != "saturation" or p.saturated <= problem.limits.saturated]
-        return bool(able) or _shipped_keep(limit, law, problem, workers)
+        return bool(able) or _shipped_keep(limit, law, problem, threads)
 
     for wanted in _aims(front, aim):
         refused: list[EvaluatedGains] = []
@@ -155,7 +155,7 @@ def tuned(
             variant = owner[id(point)]
             there = unseen._replace(values=updated(CONTROLLER, unseen.values, variant))
             limit = aim.chatter if aim.firm else wanted.chatter
-            judged = verification.verified(law, there, point.gains, limit, workers, firm)
+            judged = verification.verified(law, there, point.gains, limit, threads, firm)
             if chosen is None or _order(judged) < _order(chosen.verified):
                 chosen, kept = Chosen(variant, point, judged), wanted
             if _order(judged) == (False, 0) or (judged.reasons == [] and notes):
@@ -220,11 +220,11 @@ def _wishes(front: Sequence[EvaluatedGains], aim: Aim, kept: Aim) -> list[str]:
     return [f"no set within {wanted}: the least is {least:.3g}; those up to {kept.chatter:.3g} are taken"]
 
 
-def _shipped_keep(name: str, law: Law, problem: Problem, workers: Workers) -> bool:
+def _shipped_keep(name: str, law: Law, problem: Problem, threads: Threads) -> bool:
     """Whether ``law`` keeps the limit of this ``name`` with the gains that it had before the search."""
     limit = limits.BY_NAME[name]
     try:
-        value = limit.value(law, problem, GainSet({}, 0.0), workers)
+        value = limit.value(law, problem, GainSet({}, 0.0), threads)
     except ParameterError:
         return False
     return not limit.missed(value, limit.asked(problem.limits))

@@ -12,20 +12,14 @@ import numpy.typing as npt
 from valve_control.arrays import Floats
 from valve_control.control.analysis import steps
 from valve_control.control.laws.law import Law
-from valve_control.control.laws.registry import LAWS
-from valve_control.control.linear import margins, stability
-from valve_control.control.parameters import build
-from valve_control.control.simulation import robustness
+from valve_control.control.linear import margins
 from valve_control.control.simulation.delivery import Delivery
-from valve_control.control.simulation.robustness import Study, StudyResult
-from valve_control.design.tuning import limit_cycles, limits, overshoot, pauses, trial
-from valve_control.design.tuning.trial import GainSet, Problem, TrialResult, TuningMotion, Workers
-from valve_control.parameter import word
+from valve_control.design.tuning import limit_cycles, limits, overshoot, trial
+from valve_control.design.tuning.trial import GainSet, Problem, Threads, TrialResult, TuningMotion
 
 SLOWER = 1.1  # times as long: a motion of the search, turned over, as one that it did not see
 UNEVEN = 0.7  # sample periods, by which commands that nobody said how they come are early or late
 OVERSHOT = 1.2  # times the limit of the overshoot, which valves that were not seen may have
-LOOKED_AT = 64  # valves of a study
 SLACK = 1.05  # times the limit of the chatter, which valves that were not seen may have
 
 
@@ -36,7 +30,6 @@ class Verified(NamedTuple):
     unseen: TrialResult  # on others
     margins: margins.Margins  # of each valve
     restless: npt.NDArray[np.int64]  # numbers of valves that do not rest after a step or a motion
-    pause_s: float | None  # pauses.shortest
     reasons: list[str]  # why the gains are not accepted, as sentences; []: they are
     notes: list[str]  # what else is not as it was asked for, as sentences
     overshoot: float = 0.0  # -  of steps, overshoot.typical; and
@@ -62,7 +55,7 @@ def verified(
     problem: Problem,
     gains: GainSet,
     chatter: float | None,
-    workers: Workers = None,
+    threads: Threads = None,
     firm: Callable[[str], bool] = lambda limit: True,
 ) -> Verified:
     """Try ``gains`` on ``problem``, whose valves and seed are others than those of the search.
@@ -73,10 +66,10 @@ def verified(
     wanted = limits.asked(problem.limits, chatter)
     params = law.build(trial.values_with(problem, gains))
     found = margins.margins(law, params, margins.prepared([*problem.box, *problem.plants]))
-    seen = trial.run(law, problem, [gains], workers)[0]
+    seen = trial.run(law, problem, [gains], threads)[0]
     others = problem._replace(motions=other_motions(problem.motions), seed=problem.seed + 500_000)
-    unseen = trial.run(law, others, [gains], workers)[0]
-    restless = limit_cycles.after_all(law, others, gains, problem.plants, workers)
+    unseen = trial.run(law, others, [gains], threads)[0]
+    restless = limit_cycles.after_all(law, others, gains, problem.plants, threads)
     reasons, notes = limits.margins_missed(problem.limits, found), list[str]()
 
     def missed(name: str, sentence: str) -> None:
@@ -95,12 +88,12 @@ def verified(
             "after a step or a motion",
         )
     for name in ("not at rest", "pause"):
-        check(name, limits.BY_NAME[name].value(law, problem, gains, workers))
+        check(name, limits.BY_NAME[name].value(law, problem, gains, threads))
     for outcome, motions in ((seen, "the commands"), (unseen, "commands that were not seen")):
         check("saturation", float(np.mean(outcome.saturated)), before=f"on {motions} ")
     if chatter is not None:
         check("chatter", seen.chatter, SLACK)
-    answers = overshoot.answers(law, problem, gains, workers)
+    answers = overshoot.answers(law, problem, gains, threads)
     overshot, settling = (overshoot.typical(rows) for rows in answers)
     check("overshoot", overshot, OVERSHOT)
     return Verified(
@@ -108,14 +101,13 @@ def verified(
         unseen=unseen,
         margins=found,
         restless=restless,
-        pause_s=pauses.shortest(law, problem, gains),
         reasons=reasons,
         notes=notes,
         overshoot=overshot,
         worst_overshoot=float(np.median(np.max(answers[0], axis=0))),
         settling=settling,
         unsettled_share=float(np.mean(np.isinf(answers[1]))),
-        uneven_chatter=_uneven_chatter(law, problem, gains, workers),
+        uneven_chatter=_uneven_chatter(law, problem, gains, threads),
     )
 
 
@@ -129,52 +121,12 @@ def unsettled(v: Verified) -> list[str]:
     ]
 
 
-def of_study(study: Study, found: StudyResult, threads: int | None) -> list[dict[str, Any]]:
-    """How many of the first LOOKED_AT valves miss each limit of a search, for JSON; [] if nothing moves."""
-    asked, counts = trial.USUAL._replace(overshoot=trial.OVERSHOOT), []
-    points, periods = robustness.draw(study, 0, min(LOOKED_AT, study.valves))
-    for period in np.unique(periods).tolist():
-        values = robustness.sampled(study, "controller", period)
-        wanted = build.commands(robustness.sampled(study, "command_source", period))
-        if np.ptp(wanted) == 0.0:
-            return []
-        own = np.flatnonzero(periods == period)
-        plants = [build.valve_params(robustness.valve_of(study, int(i), points[i], period)) for i in own]
-        motions = [TuningMotion("command", wanted)]
-        problem = Problem(values, motions, plants, plants, asked, False, study.seed)
-        counts.append(_of_valves(problem, found.results.saturated[own], threads))
-    return limits.as_rows(limits.together(counts), limits.asked(asked))
-
-
-def _of_valves(problem: Problem, saturated: Floats, threads: int | None) -> limits.Counts:
-    """How many of the plants of ``problem`` miss each limit with its own gains, and the best of them.
-
-    ``saturated``: share of saturated samples of each. Overshoot: of the worst step.
-    """
-    gains, counts, law = GainSet({}, 0.0), limits.Counts(), LAWS[word(problem.values, "controller")]
-    params, wanted = law.build(problem.values), limits.asked(problem.limits)
-    seen = [stability.behind_curve(problem.values, plant)[0] for plant in problem.plants]
-    found = margins.margins(law, params, margins.prepared(seen)) if law.feedback else None
-    restless = set(limit_cycles.after_all(law, problem, gains, problem.plants, threads).tolist())
-    overshot = np.max(overshoot.answers(law, problem, gains, threads)[0], axis=0)
-    for i, share in enumerate(saturated):
-        values = {
-            "saturation": float(share),
-            "not at rest": float(i in restless),
-            "overshoot": float(overshot[i]),
-        }
-        if found is not None:
-            values |= limits.of_margins(margins.Margins(*(row[i : i + 1] for row in found)))
-        limits.count(counts, wanted, values)
-    return counts
-
-
-def _uneven_chatter(law: Law, problem: Problem, gains: GainSet, workers: Workers) -> float | None:
+def _uneven_chatter(law: Law, problem: Problem, gains: GainSet, threads: Threads) -> float | None:
     """c_u where commands come unevenly; None: the problem has a delivery of its own, or knows them ahead."""
     if problem.preview or problem.delivery is not None:
         return None
     late = problem._replace(delivery=Delivery(problem.period, UNEVEN * problem.period, problem.seed))
-    return trial.run(law, late, [gains], workers)[0].chatter
+    return trial.run(law, late, [gains], threads)[0].chatter
 
 
 def as_dict(v: Verified) -> dict[str, Any]:
@@ -201,5 +153,4 @@ def as_dict(v: Verified) -> dict[str, Any]:
         "settling_s": v.settling if np.isfinite(v.settling) else None,
         "uneven_c_u": v.uneven_chatter if v.uneven_chatter and np.isfinite(v.uneven_chatter) else None,
         "restless": len(v.restless),
-        "pause_s": v.pause_s if v.pause_s is not None and np.isfinite(v.pause_s) else None,
     }
