@@ -11,7 +11,7 @@ marked as ``node_only``.
 import collections
 import math
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple, get_type_hints
 
 from valve_control.control.compiling import bind, in_words
@@ -61,20 +61,9 @@ OVERDUE = 2.5  # periods since the last reading, from which the driver may have 
 CATCH_UP = 0.25  # of a period for each reading, by which such a time is made up for without a kink
 NOISE = 0.25  # of ``lvdt.tolerance``, way of the spool that may be noise
 PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
-TOLD = (
-    *(
-        "samples",
-        "sequence",
-        "pace",
-        "kept",
-        "saturated_for",
-        *(watch.slot for watch in REPORTING),
-        "said",
-        "name",
-        "changed",
-        "counts",
-    ),
-)  # of the memory, what C leaves out
+TOLD = {watch.slot for watch in REPORTING} | {  # of the memory, what C leaves out
+    *("samples", "sequence", "pace", "kept", "saturated_for", "said", "name", "changed", "counts")
+}
 
 
 class Params(NamedTuple):
@@ -859,7 +848,7 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
     return made
 
 
-def _record(template: Any, given: dict[str, Any], without: tuple[str, ...] = ()) -> Any:
+def _record(template: Any, given: dict[str, Any], without: Collection[str] = ()) -> Any:
     """A NamedTuple with the fields of ``template``, other types of some, and ``without`` others."""
     hints = {n: h for n, h in {**get_type_hints(template), **given}.items() if n not in without}
     made: Any = collections.namedtuple(template.__name__, list(hints))  # type: ignore[misc]
