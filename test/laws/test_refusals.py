@@ -39,6 +39,10 @@ LAG = ((1200.0,), (1.0, 40.0, 1200.0))  # with two poles and no zero
      ({"linearisation__enabled": True, "linearisation__voltage": [-10.0, 0.0, 1.0],
        "linearisation__position": [-10.0, 1.0, 1.0001]},
       "the curve of linearisation.position rises by 0.0001 V/V behind point 1; it must be between"),
+     ({"controller": "dcarc", "dcarc__model": "custom", "dcarc__numerator": [1.0, 9.0, 9.0]},
+      "the model of dcarc has "),
+     ({"controller": "dcarc", "dcarc__model": "custom", "dcarc__numerator": [-1.0, 9.0],
+       "dcarc__denominator": [1.0, 20.0, 300.0, 4000.0]}, "the model of dcarc has a zero at 9 rad/s"),
      ({"controller": "dcarc", "dcarc__hum": 5.0}, "dcarc.hum is 5 Hz; it must be 0 or at least"),
      ({"controller": "dcarc", "dcarc__hum": 600.0},
       "dcarc.hum is 600 Hz; it must lie below half of the sample rate")],
@@ -54,6 +58,7 @@ def test_a_controller_is_not_built(changes, said):
     [(LAG, 0.0, "compensator.bandwidth is 0 Hz; it must be positive"),
      (((1.0, 1.0, 1.0), (1.0, 2.0)), 10.0, "the model is improper: it has 2 zeros and 1 poles"),
      (((2.0,), (1.0,)), 10.0, "the model has no poles, so there is nothing to compensate"),
+     (((9.0,), (1.0, -2.0, 9.0)), 10.0, "the model has a pole at"),
      (((1.0, 0.0), (1.0, 40.0, 1200.0)), 10.0, "the model has a zero at 0 rad/s, so its static gain")],
 )  # fmt: skip
 def test_a_compensator_is_not_designed(model, bandwidth, said):

@@ -545,8 +545,7 @@ def judge_cycles(p: Params, m: Memory, cycle: oscillation.State, high: float) ->
 @node_only
 def tell_cycles(m: Memory, cycle: oscillation.State, found: lock_in.LockInResult) -> None:
     """Report ``cycle`` under the name of its source."""
-    text, lasting = cycle_watch.text(m.source, cycle, found), max(LATCH, 2.0 * cycle.length)
-    latch(m, "lvdt_hum" if m.source == cycle_watch.HUM else "oscillation", text, lasting)
+    latch(m, m.source, cycle_watch.text(m.source, cycle, found), max(LATCH, 2.0 * cycle.length))
 
 
 # Off and on again
