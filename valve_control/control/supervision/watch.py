@@ -102,9 +102,6 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
             oscillation.Params(least_cycle, watched.period),
             cycle_watch.between(law.u_max, watched.period),
             cycle_watch.between(min(law.u_max, probation), watched.period),
-            lock_in.Model(watched.judge.a1, watched.judge.a0, watched.judge.b0, watched.period),
-            watched.hold_off,
-            watched.hold_off_limit,
         ),
         watch_table.design(values, watched.comparison),
         command_lead.build(values, reshaped),
@@ -533,12 +530,12 @@ def judge_cycles(p: Params, m: Memory, cycle: oscillation.State, high: float) ->
         return
     if not oscillation.sustained(cycle) or not lock_in.finished(m.probe):
         return
-    found = lock_in.found(p.cycles.model, m.probe)
+    found = lock_in.found(p.lvdt.judge, m.probe)
     m.source = cycle_watch.source(cycle, found, high, m.judged.standing.grain)
     tell_cycles(m, cycle, found)
     if p.answered and oscillation.amplitude(cycle) >= high and cycle_watch.lasts(cycle):
         report(m, "limit_cycle", cycle_watch.stop_text(m.source, cycle, found))
-        m.pause = cycle_watch.paused(p.cycles, m.pause, m.now)
+        m.pause = cycle_watch.paused(p.lvdt, m.pause, m.now)
         switch_off(p, m, "limit_cycle", False)
 
 
@@ -554,7 +551,7 @@ def tell_cycles(m: Memory, cycle: oscillation.State, found: lock_in.LockInResult
 def leave_the_finite(p: Params, m: Memory) -> None:
     """Switch off for a while: the law has produced NaN or infinity, or raised an error."""
     count(m, "law_not_finite")
-    m.pause = cycle_watch.paused(p.cycles, m.pause, m.now)
+    m.pause = cycle_watch.paused(p.lvdt, m.pause, m.now)
     switch_off(p, m, "law_not_finite", False)
     report(m, "law_not_finite", f"the control law {m.name} produced NaN or infinity after {m.now:.3f} s")
     m.former = None
