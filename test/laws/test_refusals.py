@@ -34,6 +34,8 @@ LAG = ((1200.0,), (1.0, 40.0, 1200.0))  # with two poles and no zero
       "linearisation.voltage has 3 points and linearisation.position 2; they must have as many"),
      ({"linearisation__enabled": True, "linearisation__voltage": [10.0, -10.0]},
       "linearisation.voltage[1] is -10 V; it must be above linearisation.voltage[0], 10 V"),
+     ({"linearisation__enabled": True, "linearisation__voltage": [1.0], "linearisation__position": [1.0]},
+      "linearisation.voltage has 1 point; it must have 2 to 32"),
      ({"linearisation__enabled": True, "linearisation__position": [1.0, 10.0]},
       "the curve of linearisation.position does not pass 0 V between -10 and 10 V"),
      ({"linearisation__enabled": True, "linearisation__voltage": [-10.0, 0.0, 1.0],
