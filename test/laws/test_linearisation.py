@@ -103,7 +103,7 @@ def test_the_limit_is_what_the_amplifier_can_give_on_both_sides():
     assert np.min(run.voltage) == pytest.approx(-10.0) and np.max(run.voltage) < 8.7 and run.saturated > 0.1
 
 
-@grid("law, plant", ["pid", "arc"], ["fourth_order", "solenoid"], strength=1)
+@grid("law, plant", ["pid", "dcarc"], ["fourth_order", "solenoid"], strength=1)
 def test_plain_python_compiled_loop_batch_and_supervisor_have_the_same_bits(law, plant):
     c, v = controller(controller=law, **LOPSIDED), valve(valve=plant, lvdt__noise=0.003, seed=5)
     run = offline.simulate(c, v, SINE)
