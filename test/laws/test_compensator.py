@@ -8,7 +8,7 @@ import scipy.signal
 
 from valve_control.control.laws import biquads, design
 from valve_control.control.laws.signals import Start
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER
+from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 
 def bandwidth(*parts):
@@ -42,6 +42,8 @@ def test_designed_compensator_reaches_its_bandwidth(model, wanted):
     got, _ = bandwidth(c, model)
     assert math.isclose(got, wanted, abs_tol=0.01 * wanted)
     assert math.isclose(c.static_gain * model.static_gain, 1.0, rel_tol=1e-9)
+    led_by_zero = TransferFunction((0.0, *model.numerator), model.denominator)
+    assert design.pole_zero_compensator(led_by_zero, wanted) == c
 
 
 @pytest.mark.parametrize("printed", [design.PRINTED_SECOND_ORDER, design.PRINTED_FOURTH_ORDER])

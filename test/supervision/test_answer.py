@@ -78,9 +78,9 @@ def test_a_spool_that_rests_away_from_command_or_voltage_is_told(friction, fault
     assert ("spool_sticks" in conditions) == sticks and supervisor.counts["safe_stops"] == 0
 
 
-def judged(readings, voltage):
+def judged(readings, voltage, b0=1200.0):
     """What is said first of ``readings`` [V] under ``voltage`` [V], and after how many."""
-    p, s = lvdt.Params(11.0, 500.0, 0.1, 20, 0.5, 0.001, 20.0, 1200.0, 1200.0, 5.0), answer.NOTHING
+    p, s = lvdt.Params(11.0, 500.0, 0.1, 20, 0.5, 0.001, 20.0, 1200.0, b0, 5.0), answer.NOTHING
     for k, reading in enumerate(readings):
         wrong, s = answer.step(p, s, reading, 0.0, voltage, 1, False)
         if wrong:
@@ -93,5 +93,7 @@ def test_the_due_motion_is_that_of_the_laziest_valve():
     k, wrong = judged(np.zeros(100), 10.0)
     assert wrong == "unanswered" and 10 <= k <= 20
     assert judged(np.zeros(3000), 5.0) is None
+    assert judged(np.zeros(100), 10.0, 0.0) is None  # no model
+    assert judged(np.full(100, 10.0), 30.0) is None  # at the end of its stroke
     assert judged(-0.5 * 1200.0 * 5.0 * (0.001 * np.arange(100)) ** 2, 10.0)[1] == "wrong_sign"
     assert judged(0.5 * 1200.0 * 5.0 * (0.001 * np.arange(60)) ** 2, 10.0) is None

@@ -5,6 +5,7 @@
 import cmath
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -105,7 +106,7 @@ def test_hum_of_the_mains_is_named(config, law, shipped, frequency):
 @settings(deadline=None, max_examples=60)
 def test_lock_in_measures_gain_lag_and_frequency(frequency, off, gain, turn, mean):
     """Against the frequency response of the model; ``off``: error of the assumed frequency."""
-    p = lock_in.Model(40.0, 1200.0, 1200.0, PERIOD)
+    p = SimpleNamespace(a1=40.0, a0=1200.0, b0=1200.0, period=PERIOD)
     omega = 2.0 * math.pi * frequency
     answer = (
         p.b0
@@ -133,7 +134,7 @@ def test_cycles_that_a_quick_command_brings_about_are_not_stopped(config):
 
 
 def test_a_reading_that_swings_while_the_voltage_stands_is_a_hum_of_that_amplitude():
-    p = lock_in.Model(40.0, 1200.0, 1200.0, PERIOD)
+    p = SimpleNamespace(a1=40.0, a0=1200.0, b0=1200.0, period=PERIOD)
     s, k = lock_in.begun(50.0, PERIOD), 0
     while not lock_in.finished(s):
         s = lock_in.step(s, 1.0, 0.03 * math.sin(2.0 * math.pi * 50.0 * k * PERIOD), PERIOD)

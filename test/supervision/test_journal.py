@@ -95,12 +95,9 @@ def broken(name, value, event=None):
 @pytest.mark.parametrize(
     ("change", "said"),
     [(lambda numbers: numbers[:HEAD], "no rows"),
-     (lambda numbers: numbers[:-1], "no rows"),
      (lambda numbers: np.concatenate(([np.nan], numbers[1:])), "no rows"),
      (broken("event", len(Event)), "rows of another"),
-     (broken("time", np.inf), "rows of another"),
      (broken("elapsed", np.nan), "rows of another"),
-     (broken("number", np.nan), "rows of another"),
      (broken("number", np.nan, Event.LVDT_PUBLISHERS), "rows of another"),
      (broken("command", np.nan, Event.TRAJECTORY_REFUSED), "rows of another")],
 )  # fmt: skip

@@ -83,6 +83,14 @@ def test_flipped_sign_is_switched_off_within_a_tenth_of_a_second_and_held_off(la
     assert believed(loop)
 
 
+@pytest.mark.parametrize("law", ["compensator", "open_loop"])
+@pytest.mark.parametrize(("amplitude", "limit"), [(0.3, 2.0), (2.0, 1.0)])
+def test_flipped_sign_is_found_without_feedback_too(law, amplitude, limit):
+    loop = moving(law, amplitude).run(1011)
+    said, _ = words(loop, flipped, int(limit / PERIOD))
+    assert "wrong sign" in said
+
+
 @grid("law, gain", LAWS, [0.5, 2.0], strength=1)
 def test_a_gain_that_leaps_in_motion_is_not_believed_again(law, gain):
     def spoil(reading):
@@ -127,6 +135,10 @@ def test_slope_is_that_of_the_voltage_without_its_friction():
         w, s = math.sin(0.1 * k), math.copysign(1.0, math.cos(0.1 * k))
         sums = plausibility.add(1.0, sums, 1.3 * w + 0.8 * s + 0.4, w, w, s)
     assert plausibility.slope(p, sums) == pytest.approx(1.3, rel=1e-9)
+    little = plausibility.add(1.0, plausibility.NOTHING, 0.1, 0.1, 0.1, 1.0)
+    assert plausibility.slope(p, little) == 0.0
+    shown = plausibility.initial(p, 0.0, 0.0).shown._replace(moved=plausibility.AGREED, sums=little)
+    assert plausibility.ratio(p, shown, plausibility.Doubt(1.0, 0.0, 1.0)) == 0.0
 
 
 @pytest.mark.parametrize("friction", [0.0, 1.16, 3.0])

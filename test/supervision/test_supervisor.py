@@ -276,43 +276,6 @@ def test_command_that_died_with_the_lvdt_does_not_move_the_spool_on_return(law, 
     assert max(positions) < 0.1 and max(map(abs, loop.voltages[-1400:])) < 1.0
 
 
-def homed(law, noise=0.002):
-    """A spool in neutral, whose 5 V command has been silent for long."""
-    loop = Loop(law, **CALM)
-    loop.p = loop.p._replace(lvdt=loop.p.lvdt._replace(noise=noise))
-    loop.command = lambda: 5.0
-    loop.run(800)
-    loop.commanded = False
-    return loop.run(1500)
-
-
-@pytest.mark.parametrize(
-    ("law", "step", "end"),
-    [
-        ("arc", 0.30, 4.0),
-        ("oarc", 0.21, 4.0),
-        ("dcarc", 0.19, 4.0),
-        ("pid", 0.23, 4.0),
-        ("compensator", 0.047, 0.889 * 4.0),  # its static gain on this valve
-        ("open_loop", 0.036, 4.0),
-    ],
-)
-def test_command_and_lvdt_that_return_together_make_no_bump(law, step, end):
-    """Without noise, so that a step of the voltage is the supervisor's doing; ``step`` [V] was measured.
-
-    The command alone may rise by 4 V·ΔT/(e·τ) = 0.03 V a sample: the steepest slope of the fade over
-    transfer_time.
-    """
-    loop = homed(law, noise=0.0).run(60, spoil=lambda reading: math.nan)
-    loop.commanded = True
-    loop.command = lambda: 4.0
-    loop.run(60, spoil=lambda reading: math.nan)
-    begin = len(loop.voltages)
-    loop.run(1500)
-    assert loop.largest_step(begin) < 1.5 * step
-    assert loop.s.x.x0 == pytest.approx(end, abs=0.005)
-
-
 def test_estimates_of_another_law_are_not_saved_as_those_of_the_law_that_waits():
     """A law that is chosen at 0 V has no estimates yet; its own have another meaning and number."""
     loop = Loop("arc").run(300)

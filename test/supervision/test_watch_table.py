@@ -6,7 +6,7 @@ import ast
 import re
 from pathlib import Path
 
-from valve_control.control.supervision import lvdt, watch, watch_table
+from valve_control.control.supervision import cycle_watch, lvdt, watch, watch_table
 from valve_control.control.supervision.journal import OBSERVED
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,6 +33,7 @@ def reported():
     for fault in READINGS:
         assert fault in lvdt.TEXTS
         yield from (watch.condition_of(fault), f"{watch.condition_of(fault)}_bridged")
+    yield from (cycle_watch.HUM, cycle_watch.LIMIT_CYCLE)
     yield from (one.condition for one in watch_table.REPORTING)
     yield from (name for _, name in OBSERVED.values())
 

@@ -54,8 +54,6 @@ class Calls(Values):
     def _replaced(self, node: ast.Call) -> Term:
         assert isinstance(node.func, ast.Attribute)
         base = self._expression(node.func.value)
-        if base.kind.what == "optional":
-            base = self._as(base, base.kind.items[0], node)
         if base.kind.what != "record" or node.args:
             raise self.refused(node, f"a call of {ast.unparse(node.func)}")
         listed = kinds.fields(base.kind.record)

@@ -481,16 +481,12 @@ def _refuse(
             f"dcarc.coil is {coil:g} s; the model must then have three more poles than zeros, or dcarc.coil "
             "must be 0"
         )
-    if delay > MOST_DELAY * period * (1.0 + 1e-9):
-        raise DesignError(
-            f"dcarc.delay is {delay:g} s; at a sample period of {period:g} s it must be at most "
-            f"{MOST_DELAY * period:g} s"
-        )
-    if dead_time > MOST_DELAY * period * (1.0 + 1e-9):
-        raise DesignError(
-            f"dcarc.actuator_delay is {dead_time:g} s; at a sample period of {period:g} s it must be at most "
-            f"{MOST_DELAY * period:g} s"
-        )
+    for name, time in (("delay", delay), ("actuator_delay", dead_time)):
+        if time > MOST_DELAY * period * (1.0 + 1e-9):
+            raise DesignError(
+                f"dcarc.{name} is {time:g} s; at a sample period of {period:g} s it must be at most "
+                f"{MOST_DELAY * period:g} s"
+            )
     if 0.0 < hum < LEAST_HUM:
         raise DesignError(
             f"dcarc.hum is {hum:g} Hz; it must be 0 or at least {LEAST_HUM:g} Hz, so that motion is not "

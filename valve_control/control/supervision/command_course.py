@@ -126,7 +126,10 @@ def taken(p: Params, s: State | None, command: float, sent: float, stamp: float)
         return begun(p, command, sent, stamp)
     if elapsed <= 0.0:  # of the same moment: the newest counts
         smooth, quick, exact = moved(s.smooth, command), moved(s.quick, command), moved(s.exact, command)
-        return s._replace(command=command, sent=sent, smooth=smooth, quick=quick, exact=exact)
+        return State(
+            command, sent, s.stamp, s.interval, s.change, s.known, s.leapt, smooth, quick, exact,
+            s.held_error, s.smooth_error, s.quick_error, s.exact_error,
+        )  # fmt: skip
     interval = (
         max(elapsed, p.period)
         if s.known == 1

@@ -111,12 +111,9 @@ def slope(p: Params, c: plausibility.Params, sums: Sums, rates: float) -> float:
     return max(0.0, plausibility.slope(c, sums))
 
 
-def found(p: Params, s: State) -> bool:
-    """Whether the gain is reported as changed."""
-    return s.strange >= p.lasting
-
-
 def text(p: Params, s: State) -> str:
-    """One sentence about the change."""
+    """One sentence about the change, "": there is none."""
+    if s.strange < p.lasting:
+        return ""
     times = s.usual / s.present if s.present > 0.0 else 1.0
     return f"LVDT readings over the voltage are {times:.2g} times those of the start: LVDT or valve drifts"

@@ -135,13 +135,10 @@ def _closed(p: Params, line: Line, mains: float, limit: float, change: float) ->
     return Line(0.0, 0.0, 0.0, 0.0, phase, min(rows, ROWS)), amplitude, mains + off
 
 
-def found(p: Params, s: State) -> bool:
-    """Whether there is a hum."""
-    return s.frequency > 0.0
-
-
 def text(p: Params, s: State) -> str:
-    """One sentence about the hum."""
+    """One sentence about the hum, "": there is none."""
+    if s.frequency == 0.0:
+        return ""
     mains = min(MAINS, key=lambda one: abs(one - s.frequency))
     hum = f"{1e3 * s.amplitude:.3g} mV at {s.frequency:.3g} Hz (mains: {mains:.0f} Hz)"
     return f"LVDT reading has a hum of {hum}"

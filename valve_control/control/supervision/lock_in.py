@@ -14,17 +14,10 @@ the first corrects the frequency. With the valve's model G(s) = b0/(s² + a1·s 
 import math
 from typing import NamedTuple
 
+from valve_control.control.supervision import lvdt
+
 CYCLES = 2.0  # of a window, at least
 WINDOW = 0.12  # s  of a window, at least
-
-
-class Model(NamedTuple):
-    """The valve at small signals; b0 = 0.0: not known."""
-
-    a1: float  # 1/s
-    a0: float  # 1/s²
-    b0: float  # 1/s²
-    period: float  # s  ΔT
 
 
 class Sums(NamedTuple):
@@ -95,7 +88,7 @@ def finished(s: State) -> bool:
     return s.frequency > 0.0 and s.taken >= 2.0 * s.length
 
 
-def found(p: Model, s: State) -> LockInResult:
+def found(p: lvdt.Params, s: State) -> LockInResult:
     """What the ``finished`` measurement says."""
     turn = math.atan2(s.first.voltage_lag, s.first.voltage) - math.atan2(
         s.second.voltage_lag, s.second.voltage

@@ -81,13 +81,10 @@ def step(p: Params, s: State, seen: plausibility.SeenBlock) -> State:
     return State(0.0, 0.0, 0.0, slow, s.windows, s.usual, noise, loud)
 
 
-def found(p: Params, s: State) -> bool:
-    """Whether the noise is reported."""
-    return s.loud >= LASTING
-
-
 def text(p: Params, s: State) -> str:
-    """One sentence about the noise of the last window."""
+    """One sentence about the noise of the last window, "": it is as at the start."""
+    if s.loud < LASTING:
+        return ""
     return f"LVDT noise is {1e3 * s.noise:.3g} mV rms, {1e3 * s.usual:.3g} mV at the start"
 
 

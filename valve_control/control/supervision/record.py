@@ -126,7 +126,7 @@ else:
     Memory.__module__, Memory.template = __name__, Fixed
 _NAMES = [one.name for one in fields(Fixed)]
 _END = _NAMES.index("said")
-_REPORTING = tuple((w, w.slot, w.condition, w.module.step, w.module.found) for w in REPORTING)  # quicker
+_REPORTING = tuple((w.slot, w.condition, w.module.step, w.module.text) for w in REPORTING)  # quicker
 KEPT = (*_NAMES[:_END], *(w.slot for w in REPORTING), "said")  # by a snapshot
 
 
@@ -184,17 +184,15 @@ def forget_saturation(m: Memory) -> None:
 @node_only
 def reported_of(p: Any, m: Memory, seen: plausibility.SeenBlock) -> None:
     """Let the watches that only report look at a block; ``p``: Params of the watches beside the check."""
-    texts = m.said.texts
-    for watch, slot, name, step, found in _REPORTING:
+    for slot, name, step, text in _REPORTING:
         params = getattr(p, slot)
         state = step(params, getattr(m, slot), seen)
         setattr(m, slot, state)
-        if found(params, state) != (name in texts):
-            if name in texts:
-                clear(m, name)
-            else:
-                report(m, name, watch.module.text(params, state))
-            texts = m.said.texts
+        told = text(params, state)
+        if told == "":
+            clear(m, name)
+        else:
+            report(m, name, told)
 
 
 @node_only

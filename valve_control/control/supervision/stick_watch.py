@@ -56,13 +56,10 @@ def step(p: Params, s: State, seen: plausibility.SeenBlock) -> State:
     return State(time, s.away, s.pull, s.sticks if time > 0.0 else 0.0)
 
 
-def found(p: Params, s: State) -> bool:
-    """Whether the spool sticks."""
-    return s.sticks > 0.0
-
-
 def text(p: Params, s: State) -> str:
-    """One sentence about it."""
+    """One sentence about it, "": the spool moves."""
+    if s.sticks == 0.0:
+        return ""
     where = f"{abs(s.away):.2g} V from the command and {abs(s.pull):.2g} V from the voltage"
     return f"the spool rests {where}: friction, supply, or dead LVDT"
 

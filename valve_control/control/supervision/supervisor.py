@@ -72,8 +72,8 @@ class Supervisor:
         self._watched: tuple[int, str] | None = None  # of the terms, and what is said if the next is below it
         self._terms: tuple[float, ...] = ()  # of the law at the last sample
         self._give: Callable[[float], None] = unused
-        self._params: watch.Params  # these three from apply on
-        self._watch_law: law_watch.Params
+        self._params: watch.Params  # these four from apply on
+        self._saturation_limit: float  # s
         self._steps: types.SimpleNamespace
         self._sample: Callable[..., float]
         self.start()
@@ -92,7 +92,7 @@ class Supervisor:
         m, made, sent = self.memory, watch.design(values, params, self._answered), self.voltage
         former = self._params if self._form else None
         self.values, self._params = values, made
-        self._watch_law = law_watch.design(values)
+        self._saturation_limit = number(values, "saturation_limit")
         curve_changed = former is not None and made.line != former.line
         if former is not None and (made.lvdt.comparison != former.lvdt.comparison or curve_changed):
             m.evidence = None
@@ -116,7 +116,7 @@ class Supervisor:
             m.cycle = m.swing = oscillation.NOTHING
             m.probe = lock_in.NOTHING
             m.former, m.kept = None, ("", None)
-        m.voltage = saturate(m.voltage, self._watch_law.u_max)
+        m.voltage = saturate(m.voltage, params.u_max)
         if m.command.value is not None:
             m.command = m.command._replace(value=saturate(m.command.value, made.command.limit))
         self._use_law(values, params, None if former is None else former.law)
@@ -270,7 +270,8 @@ class Supervisor:
     def _observe(self, m: Memory, terms: Any, voltage: float) -> None:
         """Watch a step of the law for what is only reported."""
         self._terms = terms
-        law_watch.step(self._watch_law, m, voltage)
+        p = self._params
+        law_watch.step(m, voltage, p.law.u_max, p.lvdt.period, self._saturation_limit)
         if self._watched is not None:
             at, text = self._watched
             if terms[at] > terms[at + 1]:

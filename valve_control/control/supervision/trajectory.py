@@ -42,19 +42,17 @@ def usable(point: Motion, backwards: float) -> bool:
 
 
 def fault(point: Motion, backwards: float) -> str:
-    """One sentence about a point that cannot be used, "" if it can.
+    """One sentence about a point that cannot be used.
 
-    ``backwards`` [s]: by how much its time stamp is before that of the last one, above 0.
+    ``backwards`` [s]: by how much its time stamp is before that of the last one.
     """
     for name, value in point._asdict().items():
         if not math.isfinite(value):
             return f"trajectory point with {name} {value} refused, the last one holds"
-    if backwards > 0.0:
-        return (
-            f"trajectory point refused, its time stamp is {backwards:.3g} s before that of the last one, "
-            "which holds"
-        )
-    return ""
+    return (
+        f"trajectory point refused, its time stamp is {backwards:.3g} s before that of the last one, "
+        "which holds"
+    )
 
 
 def backwards(p: Params, s: State | None, stamp: float, arrival: float) -> float:

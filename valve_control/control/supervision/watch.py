@@ -11,7 +11,7 @@ marked as ``node_only``.
 import collections
 import math
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple, get_type_hints
 
 from valve_control.control.compiling import bind, in_words
@@ -61,20 +61,9 @@ OVERDUE = 2.5  # periods since the last reading, from which the driver may have 
 CATCH_UP = 0.25  # of a period for each reading, by which such a time is made up for without a kink
 NOISE = 0.25  # of ``lvdt.tolerance``, way of the spool that may be noise
 PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
-TOLD = (
-    *(
-        "samples",
-        "sequence",
-        "pace",
-        "kept",
-        "saturated_for",
-        *(watch.slot for watch in REPORTING),
-        "said",
-        "name",
-        "changed",
-        "counts",
-    ),
-)  # of the memory, what C leaves out
+TOLD = {watch.slot for watch in REPORTING} | {  # of the memory, what C leaves out
+    *("samples", "sequence", "pace", "kept", "saturated_for", "said", "name", "changed", "counts")
+}
 
 
 class Params(NamedTuple):
@@ -113,9 +102,6 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
             oscillation.Params(least_cycle, watched.period),
             cycle_watch.between(law.u_max, watched.period),
             cycle_watch.between(min(law.u_max, probation), watched.period),
-            lock_in.Model(watched.judge.a1, watched.judge.a0, watched.judge.b0, watched.period),
-            watched.hold_off,
-            watched.hold_off_limit,
         ),
         watch_table.design(values, watched.comparison),
         command_lead.build(values, reshaped),
@@ -544,20 +530,19 @@ def judge_cycles(p: Params, m: Memory, cycle: oscillation.State, high: float) ->
         return
     if not oscillation.sustained(cycle) or not lock_in.finished(m.probe):
         return
-    found = lock_in.found(p.cycles.model, m.probe)
+    found = lock_in.found(p.lvdt.judge, m.probe)
     m.source = cycle_watch.source(cycle, found, high, m.judged.standing.grain)
     tell_cycles(m, cycle, found)
     if p.answered and oscillation.amplitude(cycle) >= high and cycle_watch.lasts(cycle):
         report(m, "limit_cycle", cycle_watch.stop_text(m.source, cycle, found))
-        m.pause = cycle_watch.paused(p.cycles, m.pause, m.now)
+        m.pause = cycle_watch.paused(p.lvdt, m.pause, m.now)
         switch_off(p, m, "limit_cycle", False)
 
 
 @node_only
 def tell_cycles(m: Memory, cycle: oscillation.State, found: lock_in.LockInResult) -> None:
     """Report ``cycle`` under the name of its source."""
-    text, lasting = cycle_watch.text(m.source, cycle, found), max(LATCH, 2.0 * cycle.length)
-    latch(m, "lvdt_hum" if m.source == cycle_watch.HUM else "oscillation", text, lasting)
+    latch(m, m.source, cycle_watch.text(m.source, cycle, found), max(LATCH, 2.0 * cycle.length))
 
 
 # Off and on again
@@ -566,7 +551,7 @@ def tell_cycles(m: Memory, cycle: oscillation.State, found: lock_in.LockInResult
 def leave_the_finite(p: Params, m: Memory) -> None:
     """Switch off for a while: the law has produced NaN or infinity, or raised an error."""
     count(m, "law_not_finite")
-    m.pause = cycle_watch.paused(p.cycles, m.pause, m.now)
+    m.pause = cycle_watch.paused(p.lvdt, m.pause, m.now)
     switch_off(p, m, "law_not_finite", False)
     report(m, "law_not_finite", f"the control law {m.name} produced NaN or infinity after {m.now:.3f} s")
     m.former = None
@@ -859,7 +844,7 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
     return made
 
 
-def _record(template: Any, given: dict[str, Any], without: tuple[str, ...] = ()) -> Any:
+def _record(template: Any, given: dict[str, Any], without: Collection[str] = ()) -> Any:
     """A NamedTuple with the fields of ``template``, other types of some, and ``without`` others."""
     hints = {n: h for n, h in {**get_type_hints(template), **given}.items() if n not in without}
     made: Any = collections.namedtuple(template.__name__, list(hints))  # type: ignore[misc]

@@ -12,8 +12,7 @@ and snapshot follow from the row; exported C has no such watch. The file has ``P
 
 design(values, check)   Params from the controller's values and the Params of the plausibility check
 step(p, s, seen)        the state after one more block, of which ``seen`` is a ``plausibility.SeenBlock``
-found(p, s)             whether the condition is there
-text(p, s)              one sentence for the user
+text(p, s)              one sentence for the user, "" while the condition is not there
 stopped(s)              the state after the voltage was switched off; without this function the same
 forgotten(s)            the state after ~/reset, or under another model of the valve; without it ``NOTHING``
 """
