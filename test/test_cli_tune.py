@@ -68,14 +68,6 @@ def test_one_json_object_and_a_file_for_each_law(run, tmp_path, commands):
         assert alone["true_error"]["e_rms"] < 0.1
 
 
-def test_a_law_without_feedback_is_tuned_too(run, commands):
-    """The compensator has no loop, no period of its own, and margins without end."""
-    status, out, err = run("tune", "--controller", "compensator", *commands, *SMALL, "--json", "-")
-    assert status in (0, 1) and "Traceback" not in err, err
-    law = json.loads(out)["laws"]["compensator"]
-    assert law["margins"]["gain_db"] is None and law["verified"]["e_rms"]["median"] > 0.0
-
-
 @pytest.mark.parametrize(
     ("law", "valve", "own", "words"),
     [

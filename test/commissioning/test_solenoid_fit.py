@@ -225,24 +225,6 @@ def test_what_a_law_was_told_of_an_earlier_friction_is_forgotten():
     )
 
 
-class StopsBeforeTheSearch(Steps):
-    def confirm(self, text):
-        return super().confirm(text) and "sets of gains" not in text
-
-
-def test_tests_of_the_valve_are_not_made_again():
-    """With what another law has found the valve stays at 0 V up to the search."""
-    made, _ = known()
-    tests = sequence.Tests(REST, None, None, None, None, made)
-    valve, steps = SupervisedValve({"lvdt.noise": 0.003}), StopsBeforeTheSearch()
-    plan = Plan(LIMITS, "pid", 0.25, 20, 4, 4, 1, 1, alone=True)
-    with pytest.raises(sequence.Refused):
-        sequence.run(valve, plan, valve.values(), steps, tests)
-    assert {step for step, _, _ in steps.reports} == {"model"}
-    assert steps.valve["solenoid.coil"] == TRUE.coil
-    assert max(map(abs, valve.voltages)) == 0.0
-
-
 class Misbehaving(SupervisedValve):
     """Whose parameters from before end each run."""
 

@@ -24,6 +24,28 @@ if TYPE_CHECKING:
 
 CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
 FAILED = 1  # exit status if the parameters are those from before
+NUMBERS: dict[str, tuple[tuple[str, float | None, str, str], ...]] = {  # name, usual, unit, help
+    "limits": (
+        ("max-voltage", 4.0, "V", "largest voltage in both directions (4 V)"),
+        ("travel", 2.0, "V", "largest reading in both directions (2 V)"),
+    ),
+    "tuning": (
+        (
+            "max-chatter", None, "C_U",
+            f"limit of the chatter; a limit that you give is kept (default: {CHATTER:g}, or more if no gains "
+            "keep it)",
+        ),
+        (
+            "sensor-delay", 0.0, "S",
+            "dead time of the sensor (0 s); the rest of the dead time belongs to the actuator",
+        ),
+        ("budget", 200, "N", "number of sets of gains (200)"),
+        ("valves", 6, "N", "number of valves in the search (6)"),
+        ("unseen", 32, "N", "number of valves in the verification (32)"),
+        ("seed", 1, "N", "seed of the search (1)"),
+        ("threads", priority.spare_cores(), "N", "number of threads (all cores but one)"),
+    ),
+}  # fmt: skip
 
 
 def add_commands(commands: Any) -> None:
@@ -39,48 +61,18 @@ def add_commands(commands: Any) -> None:
     commission.add_argument(
         "--node", default="/controller", metavar="NAME", help="full name of the controller node (/controller)"
     )
-    group = commission.add_argument_group("limits")
-    group.add_argument(
-        "--max-voltage", type=float, default=4.0, metavar="V", help="largest voltage in both directions (4 V)"
+    groups = {title: commission.add_argument_group(title) for title in NUMBERS}
+    groups["tuning"].add_argument(
+        "--controller", choices=LAWS, metavar="LAW", help="law to tune (the present law)"
     )
-    group.add_argument(
-        "--travel", type=float, default=2.0, metavar="V", help="largest reading in both directions (2 V)"
-    )
-    group = commission.add_argument_group("tuning")
-    group.add_argument("--controller", choices=LAWS, metavar="LAW", help="law to tune (the present law)")
-    group.add_argument(
-        "--max-chatter",
-        type=float,
-        metavar="C_U",
-        help=f"limit of the chatter; a limit that you give is kept (default: {CHATTER:g}, or more if no "
-        f"gains keep it)",
-    )
-    group.add_argument(
-        "--sensor-delay",
-        type=float,
-        default=0.0,
-        metavar="S",
-        help="dead time of the sensor (0 s); the rest of the dead time belongs to the actuator",
-    )
-    group.add_argument(
+    for title, numbers in NUMBERS.items():
+        for name, usual, metavar, text in numbers:
+            kind = int if isinstance(usual, int) else float
+            groups[title].add_argument(f"--{name}", type=kind, default=usual, metavar=metavar, help=text)
+    groups["tuning"].add_argument(
         "--alone",
         action="store_true",
         help="tune this law only, and no PID that could have a smaller error",
-    )
-    group.add_argument("--budget", type=int, default=200, metavar="N", help="number of sets of gains (200)")
-    group.add_argument(
-        "--valves", type=int, default=6, metavar="N", help="number of valves in the search (6)"
-    )
-    group.add_argument(
-        "--unseen", type=int, default=32, metavar="N", help="number of valves in the verification (32)"
-    )
-    group.add_argument("--seed", type=int, default=1, metavar="N", help="seed of the search (1)")
-    group.add_argument(
-        "--threads",
-        type=int,
-        default=priority.spare_cores(),
-        metavar="N",
-        help="number of threads (all cores but one)",
     )
     group = commission.add_argument_group("course of the commissioning")
     group.add_argument("--yes", action="store_true", help="do not ask before each step")
@@ -92,11 +84,8 @@ def add_commands(commands: Any) -> None:
     group.add_argument("--undo", action="store_true", help="restore the previous parameters and exit")
     group.add_argument("--activate", action="store_true", help="with --undo: activate the controller too")
     output = commission.add_argument_group("output")
-    output.add_argument(
-        "--folder",
-        default="out/commission",
-        help="folder of the previous parameters and the report (out/commission)",
-    )
+    text = "folder of the previous parameters and the report (out/commission)"
+    output.add_argument("--folder", default="out/commission", help=text)
     output.add_argument("--json", metavar="FILE", help="result as JSON; - for standard output alone")
     commission.set_defaults(run=_commission)
 
