@@ -59,9 +59,7 @@ LIMITS = (
     LimitOption("sensitivity_db", "peak", 12.0, 0.1, 1e3, "DB", "largest peak of the sensitivity (12 dB)"),
     LimitOption("swing", "swing", 0.04, 0.001, 1e3, "V", "largest swing that friction sustains (0.04 V)"),
     LimitOption("saturated", "saturation", 0.02, 0.0, 1.0, "X", "largest share of saturated samples (0.02)"),
-    LimitOption(
-        "overshoot", "overshoot", 5.0, 0.0, 1e3, "%", "largest overshoot of steps, a wish (5)"
-    ),
+    LimitOption("overshoot", "overshoot", 5.0, 0.0, 1e3, "%", "largest overshoot of steps, a wish (5)"),
 )
 LEAST = ("gain_db", "phase_deg", "delay_s", "pause_s")  # which are 0 where they are off; the others infinite
 
