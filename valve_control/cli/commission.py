@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import interrupts, outputs, priority
-from valve_control.cli.common import check_processes, check_search, say, write_json, wrote
+from valve_control.cli.common import Progress, check_processes, check_search, say, write_json, wrote
 from valve_control.control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, number, word
 
@@ -134,15 +134,10 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _folder(arguments: argparse.Namespace) -> "Folder":
-    from tqdm import tqdm
-
     from valve_control.design.commissioning.folder import Folder
 
-    def tell(path: Path) -> None:
-        with tqdm.external_write_mode():  # a bar may be shown
-            wrote(arguments, path)
-
-    return Folder(Path(arguments.folder), "/" + arguments.node.strip("/"), tell)
+    node = "/" + arguments.node.strip("/")
+    return Folder(Path(arguments.folder), node, lambda path: wrote(arguments, path))
 
 
 def _backup(folder: "Folder") -> "Backup":
@@ -214,10 +209,8 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     try:
         with sequence.reversible(controller, before, reversal):
             result = sequence.run(controller, plan, before, steps, records=records)
-            steps.close()
             folder.finish(result, "valve-control " + " ".join(arguments.line))
     except BaseException as error:
-        steps.close()
         _report_end(folder, reversal, error)
         if isinstance(error, (ParameterError, sequence.Refused)):
             print(f"valve-control: {error}", file=sys.stderr)
@@ -247,11 +240,10 @@ class _Steps:
 
     def __init__(self, arguments: argparse.Namespace, folder: "Folder", plan: "Plan") -> None:
         self._arguments, self._folder, self._limits = arguments, folder, plan.limits
-        self._bar: Any = None
+        self._step, self._progress = "", Progress(0, "")
 
     def confirm(self, text: str) -> bool:
         """Whether to go on; the question says what comes next."""
-        self.close()
         say(self._arguments, f"next: {text}")
         if self._arguments.yes:
             return True
@@ -259,22 +251,11 @@ class _Steps:
         return sys.stdin.readline().strip().lower() in ("y", "yes")
 
     def progress(self, name: str, done: float, total: float) -> None:
-        """Show that ``done`` of ``total`` are over."""
-        from tqdm import tqdm
-
-        if self._bar is None or self._bar.desc != f"{name:14}":
-            self.close()
-            terminal = sys.stderr.isatty()
-            self._bar = tqdm(
-                total=total,
-                desc=f"{name:14}",
-                bar_format="{desc} {bar} {n:.0f}/{total:.0f}, {remaining} left",
-                ascii=not terminal,
-                mininterval=0.2 if terminal else 5.0,
-            )
-        total = max(total, done)  # a search may end a little after the sets that were planned
-        self._bar.total = total
-        self._bar.update(done - self._bar.n)
+        """Say that the step ``name`` begins, and now and then that ``done`` of ``total`` are over."""
+        if name != self._step:
+            self._step, self._progress = name, Progress(round(total), f"({name})")
+            print(f"{name} …", file=sys.stderr, flush=True)
+        self._progress(round(min(done, total)))
 
     def tested(self, name: str, record: "Record") -> None:
         """Keep a whole test, after which another commissioning can go on."""
@@ -287,12 +268,6 @@ class _Steps:
     def refused(self, changes: "Values", reason: str) -> None:
         """Keep gains that are not accepted."""
         self._folder.keep_refused(changes, reason)
-
-    def close(self) -> None:
-        """End the bar that is shown."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
 
 
 def _report(arguments: argparse.Namespace, result: "Result", folder: "Folder") -> None:
