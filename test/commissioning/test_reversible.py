@@ -22,7 +22,7 @@ BEFORE = {"controller": "oarc", "u_max": 9.0, "oarc.k1": 77.0, "command_limit": 
 PLAN = Plan(LIMITS, "pid", 0.3, 40, 3, 8, 1, 2)
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(st.integers(1, 30_000), st.booleans())
 def test_a_fault_at_any_sample(at, interrupt):
     """In the tests of the valve, which take some 35,000 samples with these limits."""
