@@ -4,15 +4,14 @@
 
 import numpy as np
 import pytest
-from grids import grid
 from hypothesis import given
 from hypothesis import strategies as st
 from supervised import SupervisedValve, fitted
 
 from valve_control.control.plant.models import TransferFunction
-from valve_control.design.commissioning import model, plant
-from valve_control.design.commissioning.bench import Record, SafetyLimits
-from valve_control.design.commissioning.statics import Friction, Rest
+from valve_control.design.commissioning import plant
+from valve_control.design.commissioning.bench import SafetyLimits
+from valve_control.design.commissioning.statics import Friction
 from valve_control.design.identification import rational
 
 LIMITS = SafetyLimits(4.0, 2.0)
@@ -76,22 +75,6 @@ def test_a_pole_that_the_samples_do_not_show_is_not_sought_for_ever():
     assert max(abs(np.roots(made.model.denominator))) < np.pi / 0.004
 
 
-@given(
-    order=st.integers(2, 4),
-    coefficients=st.lists(st.floats(-1e6, 1e6), min_size=4, max_size=4),
-    period=st.floats(1e-4, 1e-2),
-)
-def test_any_unknowns_of_a_search_are_a_valve_that_can_be_simulated(order, coefficients, period):
-    zeros = order // 2
-    form = plant._Form(order, zeros, 1.0, period)
-    x = np.array([*coefficients[:order], *[0.9, 0.1][:zeros], 0.3, 0.0, 1.0])
-    n = 50
-    record = Record(period, np.zeros(n), np.linspace(0.0, 2.0, n), np.zeros(n))
-    made = form.plant(x)
-    assert made.model.static_gain == pytest.approx(0.9)
-    assert np.all(np.isfinite(plant.simulated(made, record)))
-
-
 SPEED = st.floats(10.0, 900.0)
 FACTOR = st.one_of(
     st.tuples(SPEED, SPEED).map(lambda poles: np.polymul([1.0, poles[0]], [1.0, poles[1]])),
@@ -126,13 +109,3 @@ def test_a_pole_beyond_the_bound_leaves_the_slow_ones_where_they_are(pole, slowe
     assert made.model.static_gain == pytest.approx(0.9)
     found = sorted(np.roots(made.model.denominator), key=abs)[:-1]
     assert found == pytest.approx(sorted(np.roots(slower), key=abs), rel=1e-6)
-
-
-@grid("law, period", ["dcarc", "arc", "pid"], [0.0002, 0.001, 0.004], strength=1)
-def test_a_pole_at_the_bound_of_the_search_ends_nothing(law, period):
-    """Gains are found for a model that has one."""
-    form = plant._Form(3, 1, 1.2, period)
-    found = form.plant(np.array([1.0 + np.log(70.0), 1.0 + np.log(2500.0), 1e3, 0.83, 0.3, -0.1, 1.2]))
-    assert max(abs(np.roots(found.model.denominator))) >= min(6000.0, 10.0 / period) * (1.0 - 1e-9)
-    known = model.Known(found, Rest(0.0, 0.003, 0.0), period, 10.0, law)
-    assert any(name.startswith(f"{law}.") for name in model.controller_values(known, law))

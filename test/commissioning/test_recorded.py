@@ -179,15 +179,3 @@ def test_tune_from_a_bag(run, tmp_path, moved):
     assert files.load("t.yaml")["controller"]["controller"] == "pid"
     status, out, err = run("tune", "--bag", "operation", "--scenario", "sine", "--json", "-")
     assert status == 2 and "takes no --scenario" in err and len(sentences(err)) == 1
-
-
-def test_the_part_that_moves_is_found_beside_chatter_and_offset():
-    """A law that chatters moves the voltage by 20 V a second, whether or not the spool moves."""
-    count, period = 200_000, 0.001
-    time = np.arange(count) * period
-    voltage = 5.0 + 0.02 * np.random.default_rng(3).standard_normal(count)
-    voltage += np.where((time > 108.0) & (time < 196.0), 0.8 * np.sin(np.pi * (time - 108.0)), 0.0)
-    part, reading, (note,) = recorded._most_motion(voltage, time, period)
-    assert 106.0 <= reading[0] <= 108.1 and len(part) == len(reading)
-    assert len(part) == pytest.approx(recorded.LONGEST / period, abs=100)
-    assert note.startswith("90 s from 10")

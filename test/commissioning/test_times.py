@@ -110,12 +110,6 @@ def test_a_recording_is_fitted_with_its_times():
     assert any("0.59 ms after their readings" in note for note in found.notes) and not without.notes
 
 
-def test_the_mean_of_a_voltage_counts_the_time_that_each_value_stood():
-    edges = np.array([0.0, 1.0, 2.0, 4.0])
-    means = timing.means(edges, np.array([0.25, 1.5, 1.75]), np.array([4.0, 8.0, -8.0]))
-    assert means == pytest.approx([4.0, 0.5 * 4.0 + 0.25 * 8.0 - 0.25 * 8.0, -8.0])
-
-
 def test_late_readings_at_both_ends_leave_no_stretch_without_a_length():
     sent = 0.001 * np.arange(400)
     sent[[0, 1, -2, -1]] += [0.0009, 0.0008, 0.003, 0.004]

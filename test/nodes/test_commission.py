@@ -137,7 +137,11 @@ def commission(tmp_path, *arguments):
         command += ["--yes", "--max-voltage", str(VOLTAGE), "--travel", str(TRAVEL)]
     with (tmp_path / "said.log").open("w") as said:
         child = subprocess.Popen(
-            [*command, *arguments], stdout=said, stderr=said, stdin=subprocess.DEVNULL, env=os.environ
+            [*command, *arguments],
+            stdout=said,
+            stderr=said,
+            stdin=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
         try:
             yield child
@@ -167,7 +171,7 @@ STEPS = {
     "noise at rest": ("next: 0 V; the controller gets its limits", 2.0, SEARCH),
     "slow triangle": ("next: a slow triangle", 5.0, SEARCH),
     "stepped sine": (" s of sines of", 18.0, SEARCH),
-    "model": ("model   ", 0.6, SEARCH),
+    "model": ("model …", 0.6, SEARCH),
     "tuning": (" sets of gains of", 4.0, SEARCH),
     "verification": ("the valve moves for", 2.0, ["--controller", "dcarc", "--alone", *QUICK]),
 }

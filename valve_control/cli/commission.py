@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import interrupts, outputs, priority
-from valve_control.cli.common import check_processes, check_search, say, write_json, wrote
+from valve_control.cli.common import Progress, check_processes, check_search, say, write_json, wrote
 from valve_control.control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, number, word
 
@@ -24,6 +24,28 @@ if TYPE_CHECKING:
 
 CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
 FAILED = 1  # exit status if the parameters are those from before
+NUMBERS: dict[str, tuple[tuple[str, float | None, str, str], ...]] = {  # name, usual, unit, help
+    "limits": (
+        ("max-voltage", 4.0, "V", "largest voltage in both directions (4 V)"),
+        ("travel", 2.0, "V", "largest reading in both directions (2 V)"),
+    ),
+    "tuning": (
+        (
+            "max-chatter", None, "C_U",
+            f"limit of the chatter; a limit that you give is kept (default: {CHATTER:g}, or more if no gains "
+            "keep it)",
+        ),
+        (
+            "sensor-delay", 0.0, "S",
+            "dead time of the sensor (0 s); the rest of the dead time belongs to the actuator",
+        ),
+        ("budget", 200, "N", "number of sets of gains (200)"),
+        ("valves", 6, "N", "number of valves in the search (6)"),
+        ("unseen", 32, "N", "number of valves in the verification (32)"),
+        ("seed", 1, "N", "seed of the search (1)"),
+        ("threads", priority.spare_cores(), "N", "number of threads (all cores but one)"),
+    ),
+}  # fmt: skip
 
 
 def add_commands(commands: Any) -> None:
@@ -39,48 +61,18 @@ def add_commands(commands: Any) -> None:
     commission.add_argument(
         "--node", default="/controller", metavar="NAME", help="full name of the controller node (/controller)"
     )
-    group = commission.add_argument_group("limits")
-    group.add_argument(
-        "--max-voltage", type=float, default=4.0, metavar="V", help="largest voltage in both directions (4 V)"
+    groups = {title: commission.add_argument_group(title) for title in NUMBERS}
+    groups["tuning"].add_argument(
+        "--controller", choices=LAWS, metavar="LAW", help="law to tune (the present law)"
     )
-    group.add_argument(
-        "--travel", type=float, default=2.0, metavar="V", help="largest reading in both directions (2 V)"
-    )
-    group = commission.add_argument_group("tuning")
-    group.add_argument("--controller", choices=LAWS, metavar="LAW", help="law to tune (the present law)")
-    group.add_argument(
-        "--max-chatter",
-        type=float,
-        metavar="C_U",
-        help=f"limit of the chatter; a limit that you give is kept (default: {CHATTER:g}, or more if no "
-        f"gains keep it)",
-    )
-    group.add_argument(
-        "--sensor-delay",
-        type=float,
-        default=0.0,
-        metavar="S",
-        help="dead time of the sensor (0 s); the rest of the dead time belongs to the actuator",
-    )
-    group.add_argument(
+    for title, numbers in NUMBERS.items():
+        for name, usual, metavar, text in numbers:
+            kind = int if isinstance(usual, int) else float
+            groups[title].add_argument(f"--{name}", type=kind, default=usual, metavar=metavar, help=text)
+    groups["tuning"].add_argument(
         "--alone",
         action="store_true",
         help="tune this law only, and no PID that could have a smaller error",
-    )
-    group.add_argument("--budget", type=int, default=200, metavar="N", help="number of sets of gains (200)")
-    group.add_argument(
-        "--valves", type=int, default=6, metavar="N", help="number of valves in the search (6)"
-    )
-    group.add_argument(
-        "--unseen", type=int, default=32, metavar="N", help="number of valves in the verification (32)"
-    )
-    group.add_argument("--seed", type=int, default=1, metavar="N", help="seed of the search (1)")
-    group.add_argument(
-        "--threads",
-        type=int,
-        default=priority.spare_cores(),
-        metavar="N",
-        help="number of threads (all cores but one)",
     )
     group = commission.add_argument_group("course of the commissioning")
     group.add_argument("--yes", action="store_true", help="do not ask before each step")
@@ -92,11 +84,8 @@ def add_commands(commands: Any) -> None:
     group.add_argument("--undo", action="store_true", help="restore the previous parameters and exit")
     group.add_argument("--activate", action="store_true", help="with --undo: activate the controller too")
     output = commission.add_argument_group("output")
-    output.add_argument(
-        "--folder",
-        default="out/commission",
-        help="folder of the previous parameters and the report (out/commission)",
-    )
+    text = "folder of the previous parameters and the report (out/commission)"
+    output.add_argument("--folder", default="out/commission", help=text)
     output.add_argument("--json", metavar="FILE", help="result as JSON; - for standard output alone")
     commission.set_defaults(run=_commission)
 
@@ -145,15 +134,10 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _folder(arguments: argparse.Namespace) -> "Folder":
-    from tqdm import tqdm
-
     from valve_control.design.commissioning.folder import Folder
 
-    def tell(path: Path) -> None:
-        with tqdm.external_write_mode():  # a bar may be shown
-            wrote(arguments, path)
-
-    return Folder(Path(arguments.folder), "/" + arguments.node.strip("/"), tell)
+    node = "/" + arguments.node.strip("/")
+    return Folder(Path(arguments.folder), node, lambda path: wrote(arguments, path))
 
 
 def _backup(folder: "Folder") -> "Backup":
@@ -225,10 +209,8 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     try:
         with sequence.reversible(controller, before, reversal):
             result = sequence.run(controller, plan, before, steps, records=records)
-            steps.close()
             folder.finish(result, "valve-control " + " ".join(arguments.line))
     except BaseException as error:
-        steps.close()
         _report_end(folder, reversal, error)
         if isinstance(error, (ParameterError, sequence.Refused)):
             print(f"valve-control: {error}", file=sys.stderr)
@@ -258,11 +240,10 @@ class _Steps:
 
     def __init__(self, arguments: argparse.Namespace, folder: "Folder", plan: "Plan") -> None:
         self._arguments, self._folder, self._limits = arguments, folder, plan.limits
-        self._bar: Any = None
+        self._step, self._progress = "", Progress(0, "")
 
     def confirm(self, text: str) -> bool:
         """Whether to go on; the question says what comes next."""
-        self.close()
         say(self._arguments, f"next: {text}")
         if self._arguments.yes:
             return True
@@ -270,22 +251,11 @@ class _Steps:
         return sys.stdin.readline().strip().lower() in ("y", "yes")
 
     def progress(self, name: str, done: float, total: float) -> None:
-        """Show that ``done`` of ``total`` are over."""
-        from tqdm import tqdm
-
-        if self._bar is None or self._bar.desc != f"{name:14}":
-            self.close()
-            terminal = sys.stderr.isatty()
-            self._bar = tqdm(
-                total=total,
-                desc=f"{name:14}",
-                bar_format="{desc} {bar} {n:.0f}/{total:.0f}, {remaining} left",
-                ascii=not terminal,
-                mininterval=0.2 if terminal else 5.0,
-            )
-        total = max(total, done)  # a search may end a little after the sets that were planned
-        self._bar.total = total
-        self._bar.update(done - self._bar.n)
+        """Say that the step ``name`` begins, and now and then that ``done`` of ``total`` are over."""
+        if name != self._step:
+            self._step, self._progress = name, Progress(round(total), f"({name})")
+            print(f"{name} …", file=sys.stderr, flush=True)
+        self._progress(round(min(done, total)))
 
     def tested(self, name: str, record: "Record") -> None:
         """Keep a whole test, after which another commissioning can go on."""
@@ -298,12 +268,6 @@ class _Steps:
     def refused(self, changes: "Values", reason: str) -> None:
         """Keep gains that are not accepted."""
         self._folder.keep_refused(changes, reason)
-
-    def close(self) -> None:
-        """End the bar that is shown."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
 
 
 def _report(arguments: argparse.Namespace, result: "Result", folder: "Folder") -> None:

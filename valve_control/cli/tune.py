@@ -45,30 +45,21 @@ class LimitOption(NamedTuple):
     field: str  # of TuningLimits
     name: str
     usual: float
+    least: float
     most: float
     metavar: str
     help: str
-    scale: float = 1.0  # of the limit over the option
-    least: float = 0.0
 
 
 LIMITS = (
-    LimitOption("gain_db", "gain-margin", 3.0, 60.0, "DB", "least gain margin, up and down (3 dB)"),
-    LimitOption("phase_deg", "phase-margin", 20.0, 120.0, "DEG", "least phase margin (20 degrees)"),
-    LimitOption("delay_s", "delay-margin", 0.0005, 1.0, "S", "least delay margin (0.0005 s)"),
-    LimitOption(
-        "pause_s", "pause", 0.01, 0.05, "S", "pause of the command that the reference bears (0.01 s)"
-    ),
-    LimitOption(
-        "sensitivity_db", "peak", 12.0, 1e3, "DB", "largest peak of the sensitivity (12 dB)", least=0.1
-    ),
-    LimitOption(
-        "swing", "swing", 0.04, 1e3, "V", "largest oscillation that friction sustains (0.04 V)", least=0.001
-    ),
-    LimitOption("saturated", "saturation", 0.02, 1.0, "X", "largest share of saturated samples (0.02)"),
-    LimitOption(
-        "overshoot", "overshoot", 5.0, 1e3, "%", "largest overshoot of steps, a wish (5 percent)", 0.01
-    ),
+    LimitOption("gain_db", "gain-margin", 3.0, 0.0, 60.0, "DB", "least gain margin, up and down (3 dB)"),
+    LimitOption("phase_deg", "phase-margin", 20.0, 0.0, 120.0, "DEG", "least phase margin (20 degrees)"),
+    LimitOption("delay_s", "delay-margin", 0.0005, 0.0, 1.0, "S", "least delay margin (0.0005 s)"),
+    LimitOption("pause_s", "pause", 0.01, 0.0, 0.05, "S", "pause of the command that is borne (0.01 s)"),
+    LimitOption("sensitivity_db", "peak", 12.0, 0.1, 1e3, "DB", "largest peak of the sensitivity (12 dB)"),
+    LimitOption("swing", "swing", 0.04, 0.001, 1e3, "V", "largest swing that friction sustains (0.04 V)"),
+    LimitOption("saturated", "saturation", 0.02, 0.0, 1.0, "X", "largest share of saturated samples (0.02)"),
+    LimitOption("overshoot", "overshoot", 5.0, 0.0, 1e3, "%", "largest overshoot of steps, a wish (5)"),
 )
 LEAST = ("gain_db", "phase_deg", "delay_s", "pause_s")  # which are 0 where they are off; the others infinite
 
@@ -194,12 +185,12 @@ def limits_of(arguments: argparse.Namespace) -> "TuningLimits":
     """The limits that the options name."""
     from valve_control.design.tuning.trial import TuningLimits
 
-    def limit(option: LimitOption) -> float:
+    limits: dict[str, float] = {}
+    for option in LIMITS:
         value = getattr(arguments, option.name.replace("-", "_"))
         off = 0.0 if option.field in LEAST else math.inf
-        return off if value is None else option.scale * float(value)
-
-    return TuningLimits(**{option.field: limit(option) for option in LIMITS})
+        limits[option.field] = off if value is None else (0.01 if option.metavar == "%" else 1.0) * value
+    return TuningLimits(**limits)
 
 
 def _request(arguments: argparse.Namespace) -> "tuple[Request, RecordedRun | None]":

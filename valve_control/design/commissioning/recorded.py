@@ -27,8 +27,6 @@ from valve_control.design.identification import dead_time, lvdt
 from valve_control.design.identification.experiment import Experiment, held
 from valve_control.parameter import ParameterError, Values, number, updated
 
-LONGEST = 90.0  # s  of a recording that are looked at: those with the most motion
-BLOCK = 0.1  # s  over which a voltage is averaged to tell motion from chatter
 START = 0.3  # s  in which the simulated valve, which begins at rest, moves as the spool did
 SPREAD = 8.0  # times the noise: range of some hundred readings of a spool that stands still
 LEAST_MOTION = 5.0  # times the noise: least standard deviation of readings that tell something
@@ -91,9 +89,8 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedV
     voltage, position, times = held(tested.voltage), tested.position, tested.times
     if times is not None:
         voltage, position = times.voltage, np.where(times.late, np.nan, position)
-    voltage, reading, notes = _most_motion(voltage, position, tested.period)
-    notes += [] if times is None else dead_time.way_notes(times.way)
-    voltage = np.nan_to_num(voltage)
+    notes = [] if times is None else dead_time.way_notes(times.way)
+    voltage, reading = np.nan_to_num(voltage), position
     seen = lvdt.observe(reading)
     usable = np.isfinite(reading)
     moved = float(np.std(reading[usable])) if np.any(usable) else 0.0
@@ -111,23 +108,14 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedV
     while free:
         x, bounds, residual = _search(base, begin, free, voltage, reading, usable)
         found = [
-            Learnt(
-                form.name,
-                form.unit,
-                _value(form, begin, x[i]),
-                float(bounds[i]),
-                bool(bounds[i] <= form.certain),
-            )
-            for i, form in enumerate(free)
+            Learnt(form.name, form.unit, _value(form, begin, at), float(bound), bool(bound <= form.certain))
+            for form, at, bound in zip(free, x, bounds, strict=True)
         ]
         worst = int(np.argmax([one.bound / form.certain for one, form in zip(found, free, strict=True)]))
         if found[worst].determined:
+            lvdt_of = {"lvdt.noise": seen.noise, "lvdt.resolution": seen.resolution}
             values = _with(base, {one.name: one.value for one in found})
-            values = updated(
-                NODES["valve_simulator"],
-                values,
-                {"lvdt.noise": seen.noise, "lvdt.resolution": seen.resolution},
-            )
+            values = updated(NODES["valve_simulator"], values, lvdt_of)
             quantities = [_named(one, base) for one in (*found, *unknown)]
             return RecordedValve(values, quantities, residual, noise, notes)
         unknown.append(found[worst]._replace(value=begin[found[worst].name]))
@@ -272,27 +260,6 @@ def _alike(rest: Floats, period: float) -> float:
     return float(1.0 + 2.0 * np.sum(correlation[1:end]))
 
 
-def _most_motion(voltage: Floats, reading: Floats, period: float) -> tuple[Floats, Floats, list[str]]:
-    """The part of at most LONGEST in which the voltage moves most, and a note if something is left out."""
-    length = round(LONGEST / period)
-    if len(voltage) <= length:
-        return voltage, reading, []
-    first = _liveliest(np.nan_to_num(voltage), length, max(1, round(BLOCK / period)))
-    note = (
-        f"{LONGEST:g} s from {first * period:.1f} s on, in which the voltage moves most, stand for a "
-        f"recording of {len(voltage) * period:.0f} s"
-    )
-    return voltage[first : first + length], reading[first : first + length], [note]
-
-
-def _liveliest(signal: Floats, length: int, block: int = 1) -> int:
-    """First sample of the ``length`` samples in which the means of blocks of ``signal`` move most."""
-    means = signal[: len(signal) // block * block].reshape(-1, block).mean(axis=1)
-    total = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(means, prepend=means[0])))])
-    count = length // block
-    return block * int(np.argmax(total[count:] - total[:-count]))
-
-
 def motion(command: Floats, period: float, limit: float, longest: float = 8.0) -> Floats:
     """Up to ``longest`` [s] of a recorded ``command`` [V] in which it moves most, reached from 0 V gently."""
     known = np.flatnonzero(np.isfinite(command))
@@ -302,7 +269,8 @@ def motion(command: Floats, period: float, limit: float, longest: float = 8.0) -
     filled = np.array([saturate(float(v), limit) for v in filled])
     length = round(longest / period)
     if len(filled) > length:
-        first = _liveliest(filled, length)
+        total = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(filled, prepend=filled[0])))])
+        first = int(np.argmax(total[length:] - total[:-length]))
         filled = filled[first : first + length]
     ramp = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, max(2, round(0.5 / period))))
     gentle: Floats = np.concatenate([ramp * filled[0], filled])

@@ -13,12 +13,10 @@ from valve_control.arrays import Floats
 from valve_control.control.analysis import steps
 from valve_control.control.laws.law import Law
 from valve_control.control.linear import margins
-from valve_control.control.simulation.delivery import Delivery
 from valve_control.design.tuning import limit_cycles, limits, overshoot, trial
 from valve_control.design.tuning.trial import GainSet, Problem, Threads, TrialResult, TuningMotion
 
 SLOWER = 1.1  # times as long: a motion of the search, turned over, as one that it did not see
-UNEVEN = 0.7  # sample periods, by which commands that nobody said how they come are early or late
 OVERSHOT = 1.2  # times the limit of the overshoot, which valves that were not seen may have
 SLACK = 1.05  # times the limit of the chatter, which valves that were not seen may have
 
@@ -32,11 +30,9 @@ class Verified(NamedTuple):
     restless: npt.NDArray[np.int64]  # numbers of valves that do not rest after a step or a motion
     reasons: list[str]  # why the gains are not accepted, as sentences; []: they are
     notes: list[str]  # what else is not as it was asked for, as sentences
-    overshoot: float = 0.0  # -  of steps, overshoot.typical; and
-    worst_overshoot: float = 0.0  # -  in the worst step of each valve, median of the valves
+    overshoot: float = 0.0  # -  of steps, overshoot.typical
     settling: float = 0.0  # s  of steps; inf: not while they are held
     unsettled_share: float = 0.0  # share of the steps that are not settled then
-    uneven_chatter: float | None = None  # mean c_u where commands come UNEVEN; None: not looked at
 
 
 def other_motions(motions: Sequence[TuningMotion]) -> list[TuningMotion]:
@@ -104,10 +100,8 @@ def verified(
         reasons=reasons,
         notes=notes,
         overshoot=overshot,
-        worst_overshoot=float(np.median(np.max(answers[0], axis=0))),
         settling=settling,
         unsettled_share=float(np.mean(np.isinf(answers[1]))),
-        uneven_chatter=_uneven_chatter(law, problem, gains, threads),
     )
 
 
@@ -119,14 +113,6 @@ def unsettled(v: Verified) -> list[str]:
         f"{100.0 * v.unsettled_share:.2g} % of the steps are not settled to {100.0 * steps.BAND:g} % within "
         f"{overshoot.HELD:g} s"
     ]
-
-
-def _uneven_chatter(law: Law, problem: Problem, gains: GainSet, threads: Threads) -> float | None:
-    """c_u where commands come unevenly; None: the problem has a delivery of its own, or knows them ahead."""
-    if problem.preview or problem.delivery is not None:
-        return None
-    late = problem._replace(delivery=Delivery(problem.period, UNEVEN * problem.period, problem.seed))
-    return trial.run(law, late, [gains], threads)[0].chatter
 
 
 def as_dict(v: Verified) -> dict[str, Any]:
@@ -149,8 +135,6 @@ def as_dict(v: Verified) -> dict[str, Any]:
         },
         "valves": v.seen.e_rms.shape[1],
         "overshoot": v.overshoot if np.isfinite(v.overshoot) else None,
-        "worst_overshoot": v.worst_overshoot if np.isfinite(v.worst_overshoot) else None,
         "settling_s": v.settling if np.isfinite(v.settling) else None,
-        "uneven_c_u": v.uneven_chatter if v.uneven_chatter and np.isfinite(v.uneven_chatter) else None,
         "restless": len(v.restless),
     }
