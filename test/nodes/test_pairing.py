@@ -6,7 +6,7 @@ from collections import deque
 
 import pytest
 
-from valve_control.nodes.pairing import Pairing
+from valve_control.nodes.lockstep import Pairing
 
 
 class Upper:
