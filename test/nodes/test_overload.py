@@ -109,13 +109,6 @@ def test_a_silence_that_begins_in_lockstep_is_noticed_once_lockstep_ends(ros):
         ("controller", "spool_position", []),
         ("valve_simulator", None, ["-p", "sample_period:=0.00001"]),
         pytest.param("controller", "spool_command", [], marks=pytest.mark.campaign),
-        pytest.param("valve_simulator", "valve_voltage", [], marks=pytest.mark.campaign),
-        pytest.param(
-            "command_source",
-            "spool_position",
-            ["-p", "trigger:=spool_position", "-p", "listeners:=0"],
-            marks=pytest.mark.campaign,
-        ),
     ],
 )
 def test_overloaded_node_answers_a_service_and_ends_at_once(ros, tmp_path, node, topic, arguments):

@@ -167,10 +167,10 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
 
 
 def _read_sources() -> None:
-    """Read the files that log: rclpy looks up each line's source, and the first of a file takes 15 ms."""
+    """Read the files that log: rclpy looks up the source of each line, the first of a file in 15 ms."""
     for name, module in list(sys.modules.items()):
         if name == "__main__" or name.startswith(("valve_control.nodes", "rclpy.impl")):
-            linecache.getlines(module.__file__ or "")
+            linecache.getlines(getattr(module, "__file__", None) or "")  # __main__ of a fork has none
 
 
 class Chores:
