@@ -30,13 +30,13 @@ from std_msgs.msg import Float64
 from tqdm import tqdm
 
 from benchmarks.echo import ECHOES
-from research.campaigns.processes import process, wait_until
+from research.campaigns.processes import leave_own_profile, process, wait_until
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES
 from valve_control.control.simulation import offline
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
-from valve_control.nodes.transport import RANGE, leave_own_profile, use_own_profile
+from valve_control.nodes.transport import RANGE, use_own_profile
 from valve_control.parameter import defaults, updated
 
 Floats = npt.NDArray[np.float64]

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from benchmarks.supervised import SupervisedValve
 from research import comparison, running
-from valve_control import interrupts, outputs
+from valve_control import outputs
 from valve_control.cli.commission import CHATTER
 from valve_control.cli.common import Parser, check_processes
 from valve_control.control.compiling import sources_digest
@@ -556,7 +556,7 @@ def _each(
         for seed in seeds:
             done(work(seed))
         return
-    with interrupts.pool(jobs) as pool:
+    with running.pool(jobs) as pool:
         for row in pool.map(work, seeds):
             done(row)
 

@@ -3,8 +3,14 @@
 """Runs a study of this folder as a command: one sentence for bad input, quiet at Ctrl-C."""
 
 import argparse
+import multiprocessing
 import os
-from collections.abc import Callable, Sequence
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from typing import Any
 
 from valve_control import interrupts
 from valve_control.cli.common import Parser, ended
@@ -29,3 +35,39 @@ def run(
     status = ended(parser.prog, parser.prog, lambda: work(parser.parse_args()))
     interrupts.ignore()
     return interrupts.STATUS if interrupts.come() else status
+
+
+def _begin(all_there: Any) -> None:
+    """Begin a process of a pool."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    all_there.wait()
+
+
+@contextmanager
+def pool(processes: int, context: Any = None) -> Iterator[ProcessPoolExecutor]:
+    """Pool of ``processes`` that ignore Ctrl-C and end at once if an exception leaves the block.
+
+    All are there when the block begins. ``context``: of multiprocessing.
+    """
+    # Its start would let the signals through that are held back below.
+    resource_tracker.ensure_running()
+    # A process that has not yet come to its initializer would print a traceback.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGALRM])
+    context = context or multiprocessing.get_context()
+    # A pool starts no other process while one has nothing to do; it would do so when nothing is held back.
+    executor = ProcessPoolExecutor(
+        processes, context, initializer=_begin, initargs=(context.Barrier(processes),)
+    )
+    try:
+        try:
+            for _ in range(processes):
+                executor.submit(int)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        yield executor
+    except BaseException:
+        executor.shutdown(wait=False, cancel_futures=True)
+        for child in multiprocessing.active_children():
+            child.terminate()
+        raise
+    executor.shutdown()

@@ -28,17 +28,6 @@ def test_contract_of_simulate_as_a_process(config):
     assert 0.0 < result["indices"]["e_rms"] < result["indices"]["e_M"] < 0.2
 
 
-def test_seed_and_settings_reach_the_run(run):
-    def e_rms(*arguments):
-        done = run("simulate", "--duration", "1.0", "--set", "lvdt.noise=0.01", "--json", "-", *arguments)
-        return json.loads(done.out)["indices"]["e_rms"]
-
-    assert e_rms("--seed", "3") == e_rms("--seed", "3")
-    assert e_rms("--seed", "3") != e_rms("--seed", "4")
-    assert e_rms("--set", "arc.k1=60") != e_rms()
-    assert e_rms("--set", "friction.coulomb=1.0") != e_rms()
-
-
 def test_command_from_csv_and_npy_and_all_outputs(run, tmp_path):
     command = np.sin(np.arange(1500) * 0.01)
     np.savetxt(tmp_path / "c.csv", command)
@@ -96,9 +85,3 @@ def test_overshoot_of_steps_is_told_and_braking_in_time_takes_it_away(run, confi
     )  # fmt: skip
     assert done.status == 0, done.err
     assert low < json.loads(done.out)["steps"]["overshoot"] < high
-
-
-def test_warning_when_period_and_weight_do_not_fit(run):
-    done = run("simulate", "--controller", "oarc", "--set", "oarc.z2_weight=1.0", "--json", "-")
-    assert done.status == 0
-    assert "oarc.z2_weight" in done.err and "oarc.z2_weight" in json.loads(done.out)["warning"]

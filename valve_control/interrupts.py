@@ -8,10 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from concurrent.futures import ProcessPoolExecutor
+from typing import Any
 
 STATUS = 130
 OURS = ("valve_control.", "research.")
@@ -34,13 +31,11 @@ def come() -> bool:
 def watch(*numbers: int) -> None:
     """Let the first of the signals ``numbers`` (SIGINT) raise KeyboardInterrupt; further ones do nothing.
 
-    It is raised in code of this package. A compiled function that returns a record ends the process with a
-    segmentation fault if the exception is raised while numba makes that record. A signal that comes during
-    the compiled function is delivered exactly then, and waits until the record is made. Only a library that
-    does not come back within ``GRACE`` (a compilation, a figure) is interrupted itself. Where the exception
-    is swallowed (a callback of the garbage collector, an import of a compiled module), it is raised again. A
-    signal that shall do nothing, such as SIGINT to a command that a script put into the background, is left
-    so.
+    It is raised in code of this package; in a library only if that does not come back within ``GRACE`` (a
+    compilation, a figure), and never while numba makes the record that a compiled function returns: the
+    process would end with a segmentation fault, and a signal of the time in that function is delivered
+    exactly then. Where the exception is swallowed (a callback of the garbage collector, an import), it is
+    raised again. A signal that is ignored, as in a command that a script put into the background, stays so.
     """
     _watched.update(n for n in numbers or (signal.SIGINT,) if signal.getsignal(n) is not signal.SIG_IGN)
     if not _watched:
@@ -55,7 +50,9 @@ def ignore() -> None:
     """Let the signals do nothing from now on: the exit status is decided."""
     global _decided
     _decided = True
-    forget()
+    # Python ends a process by SIGINT if a KeyboardInterrupt was raised below the evaluation of a text, as the
+    # making of a namedtuple is, and no other text was evaluated since (``run_eval_code_obj``, pythonrun.c).
+    exec("")
     # At its end Python gives handlers of its own back to the system, but leaves what is ignored.
     for number in (signal.SIGINT, signal.SIGALRM, *_watched):
         signal.signal(number, signal.SIG_IGN)
@@ -81,15 +78,6 @@ def held_back() -> Iterator[None]:
             signal.signal(number, _raise)
     for number in arrived:
         signal.raise_signal(number)
-
-
-def forget() -> None:
-    """Python shall not end this process by SIGINT because of a KeyboardInterrupt that was caught.
-
-    It would if the exception was raised below the evaluation of a text, as the making of a namedtuple or a
-    dataclass is, and no other text was evaluated since (``run_eval_code_obj`` in Python/pythonrun.c).
-    """
-    exec("")
 
 
 def _raise(number: int, frame: Any) -> None:
@@ -153,43 +141,3 @@ def _swallowed(unraisable: Any) -> None:
 def _printed(kind: type[BaseException], error: BaseException, trace: Any) -> None:
     if not issubclass(kind, KeyboardInterrupt):
         sys.__excepthook__(kind, error, trace)
-
-
-def _begin(all_there: Any) -> None:
-    """Begin a process of a pool."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    all_there.wait()
-
-
-@contextmanager
-def pool(processes: int, context: Any = None) -> Iterator["ProcessPoolExecutor"]:
-    """Pool of ``processes`` that ignore Ctrl-C and end at once if an exception leaves the block.
-
-    All are there when the block begins. ``context``: of multiprocessing.
-    """
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import resource_tracker
-
-    # Its start would let the signals through that are held back below.
-    resource_tracker.ensure_running()
-    # A process that has not yet come to its initializer would print a traceback.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGALRM])
-    context = context or multiprocessing.get_context()
-    # A pool starts no other process while one has nothing to do; it would do so when nothing is held back.
-    executor = ProcessPoolExecutor(
-        processes, context, initializer=_begin, initargs=(context.Barrier(processes),)
-    )
-    try:
-        try:
-            for _ in range(processes):
-                executor.submit(int)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        yield executor
-    except BaseException:
-        executor.shutdown(wait=False, cancel_futures=True)
-        for child in multiprocessing.active_children():
-            child.terminate()
-        raise
-    executor.shutdown()

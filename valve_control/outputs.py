@@ -33,15 +33,15 @@ def check(paths: Sequence[str], inputs: Sequence[str] = ()) -> None:
         if not path:
             raise ParameterError("an output has an empty name; give a file")
         whole = Path(os.path.realpath(path))
-        if not whole.parent.is_dir():
-            raise ParameterError(f"{path} cannot be written: there is no folder {whole.parent}")
-        if path.endswith("/") or whole.is_dir():
-            raise ParameterError(f"{path} cannot be written: it is a folder")
         ordinary = whole.is_file() or not whole.exists()
-        if not os.access(whole.parent if ordinary else whole, os.W_OK):
-            raise ParameterError(f"{path} cannot be written: permission denied")
-        if whole.is_file() and _is_read_only(whole):
-            raise ParameterError(f"{path} cannot be written: it is read-only")
+        for wrong, reason in (
+            (not whole.parent.is_dir(), f"there is no folder {whole.parent}"),
+            (path.endswith("/") or whole.is_dir(), "it is a folder"),
+            (not os.access(whole.parent if ordinary else whole, os.W_OK), "permission denied"),
+            (whole.is_file() and _is_read_only(whole), "it is read-only"),
+        ):
+            if wrong:
+                raise ParameterError(f"{path} cannot be written: {reason}")
         if not ordinary:
             continue
         if str(whole) in taken:

@@ -59,35 +59,30 @@ class Parameter(NamedTuple):
         assert isinstance(self.default, list)
         return (str, "strings") if isinstance(self.default[0], str) else (float, "doubles")
 
-    def check(self, value: object) -> Value:
+    def check(self, value: Any) -> Value:
         """Return ``value`` if it has the right type and lies in the range. Raises ParameterError."""
-        if isinstance(self.default, (bool, str)):
-            if type(value) is not type(self.default):
-                raise ParameterError(self._wrong_type(value))
-            assert isinstance(value, (bool, str))
-            for name, reason in self.left_out:
-                if value == name:
-                    raise ParameterError(f"{self.name} is '{value}'; {reason}")
-            if self.choices and value not in self.choices:
-                raise ParameterError(f"{self.name} is '{value}'; it must be {one_of(self.choices)}")
-            return value
         if isinstance(self.default, list):
             if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
                 raise ParameterError(self._wrong_type(value))
-            entries = list(value)
-            if any(type(v) is not self._entry[0] for v in entries):
-                raise ParameterError(self._wrong_type(entries))
-            if self.length and len(entries) != self.length:
-                raise ParameterError(f"{self.name} has {len(entries)} entries; it must have {self.length}")
-            if self._entry[0] is float:
-                for i, number in enumerate(entries):
-                    self._check_range(number, f"{self.name}[{i}]")
-            return entries
-        if type(value) is not type(self.default):
+            value = list(value)
+            if any(type(v) is not self._entry[0] for v in value):
+                raise ParameterError(self._wrong_type(value))
+            if self.length and len(value) != self.length:
+                raise ParameterError(f"{self.name} has {len(value)} entries; it must have {self.length}")
+            named = [(f"{self.name}[{i}]", v) for i, v in enumerate(value)]
+        elif type(value) is not type(self.default):
             raise ParameterError(self._wrong_type(value))
-        assert isinstance(value, (int, float))
-        self._check_range(value, self.name)
-        return value
+        else:
+            named = [(self.name, value)]
+        for name, reason in self.left_out:
+            if value == name:
+                raise ParameterError(f"{self.name} is '{value}'; {reason}")
+        if self.choices and value not in self.choices:
+            raise ParameterError(f"{self.name} is '{value}'; it must be {one_of(self.choices)}")
+        for name, number in named:
+            if not isinstance(number, (bool, str)):
+                self._check_range(number, name)
+        return value  # type: ignore[no-any-return]
 
     def _wrong_type(self, value: object) -> str:
         doubles = self.type_name.endswith(("double", "doubles"))

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 import scipy.stats
 
+from research import running
 from research.calibration import objective
 from research.calibration.objective import Table
 from research.calibration.space import Dimension, Settings, changed, values_at
-from valve_control import interrupts
 from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices
 from valve_control.design import evolution
@@ -95,7 +95,7 @@ def search(
     evaluate = partial(cost_at, problem)
     evaluate(np.full(n, 0.5))  # compiles before the processes part
     count, cost, best = 0, np.inf, np.full(n, 0.5)
-    with interrupts.pool(processes) as pool, contextlib.suppress(KeyboardInterrupt):
+    with running.pool(processes) as pool, contextlib.suppress(KeyboardInterrupt):
 
         def judged(points: Sequence[Floats]) -> list[float]:
             nonlocal count, cost, best

@@ -24,6 +24,7 @@ from research.campaigns.processes import (
     TOPICS,
     Listener,
     bar,
+    leave_own_profile,
     node_arguments,
     parse_tool,
     process,
@@ -33,7 +34,6 @@ from research.campaigns.processes import (
 )
 from valve_control import outputs
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription
-from valve_control.nodes.transport import leave_own_profile
 from valve_control.priority import yield_cores
 
 NODES = ("controller", "valve_simulator", "command_source")

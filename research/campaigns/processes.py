@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -31,10 +31,27 @@ from valve_control.nodes.adapter import (
     NumberSubscription,
     number_of,
 )
-from valve_control.nodes.transport import RANGE, check_log_folder, use_own_profile
+from valve_control.nodes.transport import (
+    ANYWHERE,
+    RANGE,
+    THIS_HOST,
+    check_log_folder,
+    profile_variable,
+    use_own_profile,
+)
 from valve_control.parameter import ParameterError, Values, defaults, updated
 
 TOPICS = ("spool_command", "spool_position", "valve_voltage")
+
+
+def leave_own_profile(environment: MutableMapping[str, str]) -> None:
+    """Undo ``use_own_profile``: Fast DDS uses its usual transports."""
+    variable = profile_variable(environment)
+    profile = environment.get(variable)
+    if profile in (ANYWHERE, THIS_HOST):
+        del environment[variable]
+    if profile == THIS_HOST:
+        environment[RANGE] = "LOCALHOST"
 
 
 def start(node: str, arguments: list[str], output: IO[bytes]) -> subprocess.Popen[bytes]:

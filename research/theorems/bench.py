@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.integrate
 
-from valve_control import interrupts
+from research import running
 from valve_control.control import closed_loop
 from valve_control.control.compiling import bind, compile_function
 from valve_control.control.laws import reshaping, velocity
@@ -204,7 +204,7 @@ def work(
         for i, task in enumerate(tasks):
             done(i, function(task))
     else:
-        with interrupts.pool(processes, multiprocessing.get_context("spawn")) as pool:
+        with running.pool(processes, multiprocessing.get_context("spawn")) as pool:
             numbers: dict[Any, int] = {pool.submit(function, task): i for i, task in enumerate(tasks)}
             for future in as_completed(numbers):
                 done(numbers[future], future.result())

@@ -208,6 +208,7 @@ def test_in_lockstep_a_reading_waits_for_its_command(ros, monkeypatch):
         upper.until(lambda: upper.sample(0.0) > 0.0, "the point of a trajectory")
         result = node.set_parameters_atomically([rclpy.parameter.Parameter("lockstep", value=False)])
         assert result.successful and node._lockstep is None
+        assert node.due() < time.monotonic() + 1.0, "a silence that began in lockstep is noticed"
         upper.meet()
         assert math.isfinite(upper.sample(0.0))
 

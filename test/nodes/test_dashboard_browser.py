@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from bench import call, get_double, set_parameters, spin_until
-from browser import PHONE, needs_browser, until, window
+from browser import needs_browser, until, window
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
@@ -394,20 +394,6 @@ def test_the_keyboard_alone_suffices(page, ros):
     page.keys(Keys.ARROW_RIGHT, Keys.ENTER)
     page.wait_for("#log", "pid.kp")
     page.click("#tab-tune")
-
-
-def test_a_phone_shows_all_of_it(page_address):
-    with window(screen=PHONE) as phone:
-        phone.open(page_address)
-        phone.find("[data-name='pid.kp'] input")
-        width, inner = phone.js("return [document.documentElement.scrollWidth, window.innerWidth]")
-        assert width <= inner == PHONE["width"]
-        box = phone.js("return document.querySelector('#stop').getBoundingClientRect().toJSON()")
-        assert box["right"] <= inner and box["height"] >= 40
-        picture(phone, "phone")
-        for tab in ("log", "figures"):
-            phone.click(f"#tab-{tab}")
-            until(lambda: phone.js("return document.documentElement.scrollWidth") <= inner, f"{tab} in width")
 
 
 def test_without_a_valve_the_page_says_what_is_missing(browser, tmp_path, monkeypatch):

@@ -14,7 +14,6 @@ import rclpy
 from bench import LIMIT, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float64
-from std_srvs.srv import Trigger
 
 sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "drivers"))
 from examples import serial_card
@@ -230,15 +229,6 @@ def test_the_voltage_of_a_silence_is_on_the_topic_whatever_the_decimation(ros, m
         valve.trigger_deactivate()
         spin_until(ros, lambda: len(heard) > 2, "the last voltage")
         assert heard[2:] == [0.0]
-
-
-def test_of_a_loaded_file_the_unchanged_parameters_of_the_device_are_not_counted(ros, monkeypatch, tmp_path):
-    path = tmp_path / "p.yaml"
-    loaded = {"driver": "serial", "serial.baud": 460800, "arc.k1": 99.0}
-    path.write_text(ros_file.as_yaml({"/controller": loaded}))
-    with beside(monkeypatch, Bus(), f"load_file:={path}") as valve:
-        answer = valve._on_load(Trigger.Request(), Trigger.Response())
-        assert answer.success and answer.message == f"3 parameters from {path}, of which 1 changed"
 
 
 def users(port):

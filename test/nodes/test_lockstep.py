@@ -6,12 +6,9 @@ import signal
 import time
 from contextlib import ExitStack
 
-import numpy as np
 import pytest
 import sizes
-from bench import call, controller, run_tool, spin_until
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
+from bench import run_tool, spin_until
 from std_msgs.msg import Float64
 
 from research.campaigns.lockstep import CONFIG, run_lockstep
@@ -20,18 +17,12 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.nodes.adapter import SAMPLES
 
 
-@pytest.mark.parametrize(
-    ("laws", "seconds"),
-    [(("dcarc",), 0.5), pytest.param(tuple(LAWS), sizes.LOCKSTEP, marks=pytest.mark.campaign)],
-    ids=["quick", "all"],
-)
-def test_the_motion_equals_offline_for_every_controller(tmp_path, laws, seconds):
-    """In a short run the law with the most state; the campaign runs all."""
-    only = [word for law in laws for word in ("--only", law)]
-    entries = run_tool("lockstep", tmp_path, "--duration", str(seconds), *only)
-    assert [e["controller"] for e in entries] == list(laws)
+@pytest.mark.campaign
+def test_the_motion_equals_offline_for_every_controller(tmp_path):
+    entries = run_tool("lockstep", tmp_path, "--duration", str(sizes.LOCKSTEP))
+    assert [e["controller"] for e in entries] == list(LAWS)
     for entry in entries:
-        assert entry["equal"] and entry["samples"] == round(1000 * seconds)
+        assert entry["equal"] and entry["samples"] == round(1000 * sizes.LOCKSTEP)
         assert entry["voltage_at_end_V"] == entry["offline_voltage_at_end_V"]
 
 
@@ -45,7 +36,7 @@ SOLENOID = {
 @pytest.mark.parametrize(
     ("law", "settings"),
     [
-        ("oarc", {"controller": {"reshaping.lead": 0.006}}),
+        ("dcarc", {"controller": {"reshaping.lead": 0.006}}),
         # A trajectory is taken for the reading that it was sent for; this law has no use for derivatives.
         ("open_loop", {"command_source": {"message": "trajectory"}}),
         ("pid", {"valve_simulator": SOLENOID}),
@@ -91,37 +82,6 @@ def test_a_process_that_stands_still_is_waited_for(ros, tmp_path, node, seconds)
     assert run.samples["valve_voltage"][-1] == run.twin.voltage[-1]
     simulator = (tmp_path / "lockstep_still_valve_simulator.log").read_text()
     assert "waits" in simulator and "sent again" not in simulator
-
-
-def test_what_came_before_the_activation_counts(ros, tmp_path):
-    """Command and reading that found the subscription, but not yet the law."""
-    voltages = []
-    command = ros.create_publisher(Float64, "spool_command", SAMPLES)
-    lvdt = ros.create_publisher(Float64, "spool_position", SAMPLES)
-    ros.create_subscription(Float64, "valve_voltage", lambda m: voltages.append(m.data), SAMPLES)
-
-    def change(transition):
-        request = ChangeState.Request(transition=Transition(id=transition))
-        assert call(ros, ChangeState, "/controller/change_state", request).success
-
-    arguments = ["-p", "controller:=open_loop", "-p", "lockstep:=true", "-p", "autostart:=false"]
-    with controller(tmp_path, *arguments):
-        change(Transition.TRANSITION_CONFIGURE)
-        spin_until(
-            ros,
-            lambda: command.get_subscription_count() == 1 == lvdt.get_subscription_count(),
-            "subscriptions",
-        )
-        command.publish(Float64(data=1.0))
-        lvdt.publish(Float64(data=0.0))
-        change(Transition.TRANSITION_ACTIVATE)
-        spin_until(ros, lambda: len(voltages) == 1, "the first voltage", 10.0)
-        command.publish(Float64(data=2.0))
-        command.publish(Float64(data=3.0))
-        for count in (2, 3):
-            lvdt.publish(Float64(data=0.0))
-            spin_until(ros, lambda n=count: len(voltages) == n, "a voltage", 10.0)
-    assert np.all(np.diff(voltages[:3]) > 0.0) and voltages[0] > 0.0
 
 
 def test_a_simulator_waits_for_a_controller_and_asks_the_next_one_again(ros, tmp_path):

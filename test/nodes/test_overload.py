@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes that get more than they can work on still hear signals and services."""
 
-import math
 import subprocess
 import sys
 import time
@@ -10,7 +9,6 @@ from contextlib import contextmanager, nullcontext
 
 import pytest
 from bench import LIMIT, get_double, spin_until
-from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 
 from research.campaigns.processes import process
@@ -92,16 +90,6 @@ def test_valves_that_fall_silent_at_once_do_not_wait_for_their_next_reminder(ros
             valve.destroy_node()
 
 
-def test_a_silence_that_begins_in_lockstep_is_noticed_once_lockstep_ends(ros):
-    valve = Controller(cli_args=["--ros-args", "-r", "__ns:=/y", "-p", "lockstep:=true"])
-    try:
-        assert valve.due() == math.inf
-        (result,) = valve.set_parameters([Parameter("lockstep", value=False)])
-        assert result.successful and valve.due() < time.monotonic() + 1.0
-    finally:
-        valve.destroy_node()
-
-
 @pytest.mark.alone
 @pytest.mark.parametrize(
     ("node", "topic", "arguments"),
@@ -109,13 +97,6 @@ def test_a_silence_that_begins_in_lockstep_is_noticed_once_lockstep_ends(ros):
         ("controller", "spool_position", []),
         ("valve_simulator", None, ["-p", "sample_period:=0.00001"]),
         pytest.param("controller", "spool_command", [], marks=pytest.mark.campaign),
-        pytest.param("valve_simulator", "valve_voltage", [], marks=pytest.mark.campaign),
-        pytest.param(
-            "command_source",
-            "spool_position",
-            ["-p", "trigger:=spool_position", "-p", "listeners:=0"],
-            marks=pytest.mark.campaign,
-        ),
     ],
 )
 def test_overloaded_node_answers_a_service_and_ends_at_once(ros, tmp_path, node, topic, arguments):

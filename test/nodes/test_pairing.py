@@ -6,7 +6,7 @@ from collections import deque
 
 import pytest
 
-from valve_control.nodes.pairing import Pairing
+from valve_control.nodes.lockstep import Pairing
 
 
 class Upper:
@@ -36,13 +36,6 @@ def test_command_k_is_for_reading_k_whenever_it_comes():
     assert upper.answer(3) == [3.0]
 
 
-def test_a_first_command_that_is_missing_shifts_nothing():
-    upper = Upper()
-    upper.send(2)
-    assert upper.answer(1) == []
-    assert upper.answer(2) == [2.0]
-
-
 def test_lost_readings_pass_over_their_commands_in_order():
     upper = Upper()
     upper.send(1, 2, 3, 4, 5)
@@ -62,14 +55,3 @@ def test_a_source_or_a_simulator_that_began_anew_is_in_step_from_its_next_messag
     assert upper.answer(reading) == [first]
     assert upper.answer(reading + 1) == [first + 1]
     assert upper.answer(reading + 2) is None
-
-
-def test_who_was_given_up_is_in_step_again_with_the_first_command():
-    upper = Upper()
-    upper.send(1)
-    assert upper.answer(1) == [1.0]
-    assert upper.answer(2) is None
-    upper.pairing.give_up()
-    upper.send(2)
-    assert upper.answer(9) == [2.0]
-    assert upper.answer(10) is None

@@ -23,8 +23,8 @@ from valve_control.recordings import shadow
 from valve_control.recordings.analysis import analyze, as_dict
 from valve_control.recordings.recording import load
 
+LED = {"command.lag": 0.002, "reshaping.lead": 0.005}
 RECORDED = (
-    "/spool_command",
     "/spool_position",
     "/valve_voltage",
     "/controller/state",
@@ -35,22 +35,29 @@ RECORDED = (
 
 @pytest.mark.alone
 @pytest.mark.parametrize(
-    ("storage", "first", "period"),
-    [("mcap", True, "3600.0"), pytest.param("sqlite3", False, "0.2", marks=pytest.mark.campaign)],
+    ("storage", "first", "period", "message"),
+    [
+        ("mcap", True, "3600.0", "command"),
+        pytest.param("sqlite3", False, "0.2", "trajectory", marks=pytest.mark.campaign),
+    ],
 )
-def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage, first, period):
+def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage, first, period, message):
     """With live changes of parameters and of the law; the recorder comes before or after the controller.
+
+    The upper level is slow, 100 Hz: trajectories, or commands that are joined by their stamps and led.
 
     The exported C of the laws gives the recorded voltages too.
 
     With a period of an hour there is an account of ~/memory only because a recorder came.
     """
     bag, log = tmp_path / "bag", tmp_path / "recorder.log"
+    motion = {"listeners": 1, "message": message, "every": 10, "scenario": "sine", "amplitude": 1.0}
+    topics = (f"/spool_{message}", *RECORDED)
     arguments = {
         "recorder": ["-p", f"bag:={bag}", "-p", f"storage:={storage}"],
-        "controller": [*node_arguments("controller", ["arc.yaml"], {}), "-p", f"memory_period:={period}"],
+        "controller": [*node_arguments("controller", ["arc.yaml"], LED), "-p", f"memory_period:={period}"],
         "valve_simulator": node_arguments("valve_simulator", ["d3fxe.yaml"], {}),
-        "command_source": node_arguments("command_source", ["command_source.yaml"], {"listeners": 1}),
+        "command_source": node_arguments("command_source", ["command_source.yaml"], motion),
     }
     order = ["recorder", "controller"] if first else ["controller", "recorder"]
 
@@ -66,7 +73,7 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage
             node: stack.enter_context(process(node, arguments[node], tmp_path / f"{node}.log"))
             for node in (*order, "valve_simulator", "command_source")
         }
-        spin_until(ros, lambda: all(f"records {topic} " in log.read_text() for topic in RECORDED), "topics")
+        spin_until(ros, lambda: all(f"records {topic} " in log.read_text() for topic in topics), "topics")
         spin_until(
             ros, lambda: "parameters of /controller\n" in log.read_text(), "parameters of the controller"
         )
@@ -90,6 +97,10 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage
     # 1200 voltages were waited for once everything was recorded.
     assert result.faithful and len(result.voltage) > 1100
     assert result.differing == 0, (result.first_difference, result.left_out)
+    assert float(np.nanmax(np.abs(result.measurement))) > 0.5
+    field = "positions[0]" if message == "trajectory" else "data"
+    source = recording.valves["valve"].topics.sources["spool_command"]
+    assert str(source) == f"/spool_{message}.{field}"
     assert not any("its account" in text or "missing" in text for text in result.left_out)
     if shutil.which("cc") is not None:
         for name in ("arc", "oarc", "pid"):
@@ -109,46 +120,3 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage
     ]  # fmt: skip
     assert about["parameters"]["/controller"]["initial"]["arc.velocity_cutoff"] == 100.0
     assert about["parameters"]["/valve_simulator"]["initial"]["friction.coulomb"] > 0.0
-
-
-@pytest.mark.alone
-@pytest.mark.parametrize(
-    ("message", "settings"),
-    [
-        pytest.param("trajectory", {}, marks=pytest.mark.campaign),
-        ("command", {"command.lag": 0.002, "reshaping.lead": 0.005}),
-    ],
-)
-def test_shadow_of_a_slow_upper_level_is_the_recording_bit_for_bit(ros, tmp_path, message, settings):
-    """Trajectories, and commands that are joined by their time stamps and led, at 100 Hz."""
-    bag, log = tmp_path / "bag", tmp_path / "recorder.log"
-    motion = {"listeners": 1, "message": message, "every": 10, "scenario": "sine", "amplitude": 1.0}
-    arguments = {
-        "recorder": ["-p", f"bag:={bag}"],
-        "controller": node_arguments("controller", ["oarc.yaml"], settings),
-        "valve_simulator": node_arguments("valve_simulator", ["d3fxe.yaml"], {}),
-        "command_source": node_arguments("command_source", ["command_source.yaml"], motion),
-    }
-    voltages = []
-    ros.create_subscription(Float64, "valve_voltage", voltages.append, 1000)
-    with ExitStack() as stack:
-        running = {
-            node: stack.enter_context(process(node, words, tmp_path / f"{node}.log"))
-            for node, words in arguments.items()
-        }
-        spin_until(ros, lambda: f"records /spool_{message} " in log.read_text(), "the topic")
-        spin_until(ros, lambda: "records /controller/journal " in log.read_text(), "the journal")
-        begun = len(voltages)
-        spin_until(ros, lambda: len(voltages) >= begun + 1500, "1500 voltages")
-        for node in ("controller", "recorder"):
-            running[node].send_signal(signal.SIGINT)
-            spin_until(ros, lambda node=node: running[node].poll() is not None, f"end of the {node}")
-            assert running[node].returncode == 0, (tmp_path / f"{node}.log").read_text()
-    valve = load(str(bag), journals=True).valves["valve"]
-    field = "positions[0]" if message == "trajectory" else "data"
-    assert str(valve.topics.sources["spool_command"]) == f"/spool_{message}.{field}"
-    result = shadow.replay(valve, {})
-    assert result.faithful and result.differing == 0 and len(result.voltage) > 1200
-    assert float(np.nanmax(np.abs(result.measurement))) > 0.5
-    assert not any("remembered something else" in text for text in result.left_out), result.left_out
-    assert as_dict(analyze(load(str(bag))))["valves"]["valve"]["controller"] == "oarc"

@@ -7,8 +7,7 @@ import os
 import pytest
 from bench import Motion, call, controller, get_double, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.parameter import Parameter
+from rcl_interfaces.srv import GetParameters
 from std_srvs.srv import Trigger
 
 from research.campaigns.processes import process
@@ -113,27 +112,6 @@ def test_parameters_are_loaded_as_a_whole_or_not_at_all(ros, tmp_path):
                 path.write_text(text)
             answer = call(ros, Trigger, "/controller/load_parameters", Trigger.Request())
             assert not answer.success and word in answer.message and "\n" not in answer.message
-
-
-def test_what_a_controller_cannot_do_is_said(ros, tmp_path):
-    with controller(tmp_path, "-p", f"save_file:={tmp_path}/missing/saved.yaml"):
-        answer = call(ros, Trigger, "/controller/save_parameters", Trigger.Request())
-        assert not answer.success and "cannot be written" in answer.message
-        result = set_parameters(ros, realtime__cpus="4096")
-        assert not result.successful and "4096" in result.reason
-        assert not set_parameters(ros, realtime__cpus="first").successful
-        result = set_parameters(ros, arc__k11=5.0)
-        assert not result.successful
-        assert result.reason.startswith("there is no parameter 'arc.k11'; did you mean 'arc.k1'")
-        result = set_parameters(ros, arc__k1=5.0, arc__k11=5.0, speed=1.0)
-        assert not result.successful and "'arc.k11'" in result.reason and "'speed'" in result.reason
-        one_by_one = SetParameters.Request(
-            parameters=[Parameter(name, value=5.0).to_parameter_msg() for name in ("controler", "arc.k1")]
-        )
-        results = call(ros, SetParameters, "/controller/set_parameters", one_by_one).results
-        assert [result.successful for result in results] == [False, True]
-        assert "'controler'; did you mean 'controller'" in results[0].reason
-        assert get_double(ros, "arc.k1") == 5.0
 
 
 def test_scheduler_and_cpus_are_those_really_obtained(ros, tmp_path):

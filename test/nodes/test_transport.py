@@ -11,12 +11,11 @@ from bench import run_tool, spin_until
 from std_msgs.msg import Float64
 
 from research.campaigns.joiners import crowd
-from research.campaigns.processes import process
+from research.campaigns.processes import leave_own_profile, process
 from valve_control.nodes.transport import (
     ANYWHERE,
     THIS_HOST,
     check_log_folder,
-    leave_own_profile,
     use_own_profile,
 )
 from valve_control.parameter import ParameterError

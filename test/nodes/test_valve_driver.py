@@ -14,7 +14,6 @@ import pytest
 import rclpy
 from bench import LIMIT, call, controller, process, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
-from lifecycle_msgs.srv import ChangeState, GetState
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
@@ -132,41 +131,6 @@ def test_each_reading_is_answered_and_the_law_moves_the_spool(ros, tmp_path, car
         assert card.voltage == 0.0 and not card._asked
 
 
-def test_losses_are_missing_readings_and_faults_have_names(ros, tmp_path, card):
-    """Frames are in order: once a mark is heard, so is all before it, however long a process is put aside."""
-    told = Told(ros)
-
-    def since(count):
-        """Whether each reading from ``count`` on is missing, up to the one of a mark that is sent now."""
-        side = -1.0 if told.readings[-1] > 0.0 else 1.0
-        card._state = card._state._replace(x=card._state.x._replace(x0=1.5 * side))
-        mark = pytest.approx(card.send(time.monotonic()), abs=STEP)
-        spin_until(ros, lambda: told.readings[-1] == mark, "mark")
-        return [math.isnan(reading) for reading in told.readings[count:]]
-
-    with driver(tmp_path, card, "position.high:=2.0"):
-        run(ros, card, lambda: len(told.readings) > 50, "readings")
-        missing = sum(since(0))
-        count = len(told.readings)
-        card.counter = (card.counter + 7) % 65536
-        for _ in range(20):  # fewer than are dropped as stale
-            card.send(time.monotonic())
-        assert since(count) == [True] * 7 + [False] * 21
-        count = len(told.readings)
-        card.send(0.0, damage=16)
-        assert since(count) == [True, False]
-        spin_until(ros, lambda: told.values["lost"] == str(missing + 8), "losses")
-        assert {"readings_lost", "damaged_frames"} <= told.seen
-        told.seen.clear()
-        card._state = card._state._replace(x=card._state.x._replace(x0=8.0))
-        count = len(told.readings)
-        run(ros, card, lambda: any(map(math.isnan, told.readings[count:])), "reading out of range")
-        card.sensor_sound = False
-        run(ros, card, lambda: "sensor_fault" in told.seen, "sensor fault")
-        spin_until(ros, lambda: "no_reading" in told.seen, "silence")
-        assert told.status.level == b"\x02"
-
-
 def test_the_output_follows_enable_and_an_open_device_keeps_its_scales(ros, tmp_path, card):
     told = Told(ros)
     voltage = ros.create_publisher(Float64, "valve_voltage", 10)
@@ -198,63 +162,6 @@ def test_the_output_follows_enable_and_an_open_device_keeps_its_scales(ros, tmp_
         assert not card._asked and card.voltage == 0.0
         assert call(ros, SetBool, "/valve_driver/enable", SetBool.Request(data=True)).success
         run(ros, card, driven(3.0), "3 V again")
-
-
-def test_a_card_that_goes_is_told_and_found_again(ros, tmp_path):
-    told = Told(ros)
-    link = tmp_path / "port"
-    first = serial_card.Card()
-    link.symlink_to(first.port)
-    with process("valve_driver", ["-p", f"serial.port:={link}"], tmp_path / "d.log"):
-        run(ros, first, lambda: len(told.readings) > 20, "readings")
-        first.close()
-        link.unlink()
-        spin_until(ros, lambda: "device_gone" in told.seen, "condition")
-        second = serial_card.Card()
-        link.symlink_to(second.port)
-        count = len(told.readings)
-        run(ros, second, lambda: len(told.readings) > count and second._asked, "readings and output")
-        run(ros, second, lambda: told.values["reopened"] == "1", "count")
-        second.close()
-
-
-def test_lifecycle_waits_for_transitions_and_survives_a_missing_card(ros, tmp_path):
-    """A voltage that came before the activation is none for the card."""
-    link, told = tmp_path / "port", Told(ros)
-    early = ros.create_publisher(Float64, "valve_voltage", 10)
-
-    def state(name):
-        spin_until(ros, lambda: told.status and told.status.message == name, name)
-
-    def transition(number):
-        request = ChangeState.Request()
-        request.transition.id = number
-        return call(ros, ChangeState, "/valve_driver/change_state", request).success
-
-    words = ["-p", f"serial.port:={link}", "-p", "autostart:=false"]
-    with process("valve_driver", words, tmp_path / "d.log"):
-        assert not transition(1)
-        state("unconfigured")
-        assert call(ros, GetState, "/valve_driver/get_state", GetState.Request()).current_state.id == 1
-        card = serial_card.Card()
-        link.symlink_to(card.port)
-        assert transition(1)
-        card.receive(0.0)
-        assert card.frames == 0
-        spin_until(ros, lambda: early.get_subscription_count() == 1, "the subscription")
-        early.publish(Float64(data=3.0))
-        state("inactive")
-        assert transition(3)
-        run(ros, card, lambda: card._asked, "output on")
-        count = len(told.readings)
-        run(ros, card, lambda: len(told.readings) > count + 100, "a hundred readings")
-        assert card.voltage == 0.0
-        assert transition(4)
-        card.receive(time.monotonic())
-        assert not card._asked
-        assert transition(2)
-        assert set_parameters(ros, "valve_driver", position__scale="%").successful
-        card.close()
 
 
 def test_the_dry_run_tells_rate_noise_and_losses_and_writes_nothing(ros):

@@ -300,14 +300,10 @@ class PointSubscription(PolledSubscription):
 
     def one(self) -> tuple[TrajectoryPoint, dict[str, Any]] | None:
         """The oldest waiting point with its message info, None if there is none."""
-        while True:
-            with self.handle:
-                taken = self.handle.take_message(JointTrajectoryPoint, True)
-            if taken is None:
-                return None
-            point = decoded_point(taken[0])
-            if point is not None:
+        while (taken := super().one()) is not None:
+            if (point := decoded_point(taken[0])) is not None:
                 return point, taken[1]
+        return None
 
 
 def decoded_point(data: bytes) -> TrajectoryPoint | None:

@@ -5,7 +5,7 @@
 import math
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -467,31 +467,36 @@ class Controller(Managed):
     # Services
 
     def _on_reset(self, request: Any, response: Any) -> Any:
-        self._journal.reset()
-        response.success = True
-        response.message = "estimates and filters are at their start"
-        self.get_logger().info(response.message)
+        def reset() -> str:
+            self._journal.reset()
+            return "estimates and filters are at their start"
+
+        return self._answered(response, reset, "not reset")
+
+    def _answered(self, response: Any, work: Callable[[], str], otherwise: str) -> Any:
+        """Answer with what ``work`` returns, or with ``otherwise`` and the reason why it did not succeed."""
+        try:
+            response.message, response.success = work(), True
+            self.get_logger().info(response.message)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            response.message, response.success = outputs.printable(f"{otherwise}: {reason}"), False
+            self.get_logger().warning(response.message)
         return response
 
     def _on_save(self, request: Any, response: Any) -> Any:
         name = word(self._values, "save_file")
-        try:
+
+        def save() -> str:
             path = inputs.expanded(name, "save_file").absolute()
             ros_file.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
-        except (OSError, ValueError) as error:
-            response.success = False
-            reason = getattr(error, "strerror", None) or str(error)
-            response.message = outputs.printable(f"{name} cannot be written: {reason}")
-            self.get_logger().warning(response.message)
-            return response
-        response.success = True
-        response.message = f"wrote {outputs.shown(path)}"
-        self.get_logger().info(response.message)
-        return response
+            return f"wrote {outputs.shown(path)}"
+
+        return self._answered(response, save, f"{name} cannot be written")
 
     def _on_load(self, request: Any, response: Any) -> Any:
-        name = word(self._values, "load_file") or word(self._values, "save_file")
-        try:
+        def load() -> str:
+            name = word(self._values, "load_file") or word(self._values, "save_file")
             path = inputs.expanded(name, "parameter file").absolute()
             values = arguments.addressed(str(path), self.get_fully_qualified_name(), self.table)
             changes = {n: value for n, value in values.items() if value != self._settings.values[n]}
@@ -500,16 +505,9 @@ class Controller(Managed):
                 result = self.set_parameters_atomically(wanted)
                 if not result.successful:
                     raise ParameterError(f"{path}: {result.reason}")
-        except ParameterError as error:
-            response.success = False
-            response.message = outputs.printable(f"no parameter changed: {error}")
-            self.get_logger().warning(response.message)
-            return response
-        response.success = True
-        source = outputs.shown(path)
-        response.message = f"{len(values)} parameters from {source}, of which {len(changes)} changed"
-        self.get_logger().info(response.message)
-        return response
+            return f"{len(values)} parameters from {outputs.shown(path)}, of which {len(changes)} changed"
+
+        return self._answered(response, load, "no parameter changed")
 
     # What is said
 

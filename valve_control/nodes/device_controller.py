@@ -11,7 +11,6 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 
 from valve_control.control.drivers.device import Device
-from valve_control.control.drivers.driver import Condition
 from valve_control.control.parameters import drivers
 from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.parameters.drivers import DEVICE, LIVE
@@ -64,7 +63,6 @@ class DeviceController(DeviceNode, Controller):
         self._asked_at = 0.0  # s, when it was last asked for
         self._begun = False
         self._given: list[float] = []  # V, to be published
-        self._told: tuple[Condition, ...] = ()
         self._every = 1  # reading that is published
         self._unpublished = 0  # readings
         super().__init__(**options)
@@ -201,20 +199,11 @@ class DeviceController(DeviceNode, Controller):
         if self._device is not None:
             self._publish_signals()
             conditions = self._device.conditions() if self.working else ()
-            changed = [c.name for c in conditions] != [c.name for c in self._told]
             safe = any(condition.level == "safe" for condition in conditions)
-            if changed and self._may_tell(safe, "device"):
-                self._tell(conditions)
+            if self.differ(conditions) and self._may_tell(safe, "device"):
+                self.tell(conditions, "device: ")
+                self._publish_diagnostics()
         super().report()
-
-    def _tell(self, conditions: tuple[Condition, ...]) -> None:
-        """Log new conditions of the device, and publish them at once."""
-        before = {condition.name for condition in self._told}
-        for condition in conditions:
-            if condition.name not in before:
-                self.get_logger().warning(f"device: {condition.text}")
-        self._told = conditions
-        self._publish_diagnostics()
 
     def _give_way(self, several: bool) -> None:
         """Go on: the device is this controller's, whoever publishes voltages."""

@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from valve_control.control.drivers.device import Device
-from valve_control.control.drivers.driver import DriverError
+from valve_control.control.drivers.driver import Condition, DriverError
 from valve_control.control.parameters import drivers
 from valve_control.nodes.lifecycle import Managed
 from valve_control.parameter import ParameterError, Values
@@ -25,6 +25,7 @@ class DeviceNode(Managed):
         self._device: Device | None = None  # None: it is not open
         self._refusal = ""  # why it could not be opened
         self._starts = False  # by itself, which ends the process with the reason
+        self._told: tuple[Condition, ...] = ()
         super().__init__(*arguments, **options)
 
     def device_values(self) -> Values:
@@ -39,6 +40,22 @@ class DeviceNode(Managed):
         changed = [name for name in fixed if values[name] != former[name]]
         if changed:
             raise ParameterError(f"{changed[0]} of an open device does not change; clean the node up first")
+
+    def differ(self, conditions: tuple[Condition, ...]) -> bool:
+        """Whether these are other conditions than those that were told last."""
+        return [c.name for c in conditions] != [c.name for c in self._told]
+
+    def tell(self, conditions: tuple[Condition, ...], prefix: str = "") -> None:
+        """Log the conditions that are new."""
+        known = {condition.name for condition in self._told}
+        for condition in conditions:
+            if condition.name in known:
+                continue
+            if condition.level == "safe":
+                self.get_logger().error(prefix + condition.text)
+            else:
+                self.get_logger().warning(prefix + condition.text)
+        self._told = conditions
 
     def autostart(self) -> None:
         """Configure and activate. Raises ParameterError if the device cannot be opened."""

@@ -11,21 +11,8 @@ import ctypes
 from collections.abc import Callable
 from typing import Any
 
-from rclpy._rclpy_pybind11 import RCLError, WaitSet
-
-__all__ = [
-    "OK",
-    "FirstList",
-    "MessageFunctions",
-    "RCLError",
-    "RequestId",
-    "WaitSet",
-    "call_timer",
-    "override",
-    "rcl",
-    "rcutils",
-    "sender",
-]
+from rclpy._rclpy_pybind11 import RCLError as RCLError
+from rclpy._rclpy_pybind11 import WaitSet as WaitSet
 
 OK = 0  # RCL_RET_OK
 

@@ -59,13 +59,3 @@ def check_log_folder(environment: Mapping[str, str]) -> None:
         reason = getattr(error, "strerror", None) or error
         text = f"the folder of ROS's logs, {folder}, cannot be made: {reason}; set ROS_LOG_DIR"
         raise ParameterError(text) from error
-
-
-def leave_own_profile(environment: MutableMapping[str, str]) -> None:
-    """Undo ``use_own_profile``: Fast DDS uses its usual transports."""
-    variable = profile_variable(environment)
-    profile = environment.get(variable)
-    if profile in (ANYWHERE, THIS_HOST):
-        del environment[variable]
-    if profile == THIS_HOST:
-        environment[RANGE] = "LOCALHOST"

@@ -71,7 +71,6 @@ class ValveDriver(DeviceNode):
         self._quiet = 0  # waits in a row without a reading
         self._refused = 0.0  # the last voltage that was not finite
         self._refused_until = -NEVER
-        self._said: tuple[Condition, ...] = ()
         self._arrivals: deque[float] = deque(maxlen=WINDOW)
         self._answers: deque[float] = deque(maxlen=WINDOW)  # s from a reading to its voltage
         self._counts = dict.fromkeys(("late_voltages", "voltage_refused", "voltage_timeouts"), 0)
@@ -128,7 +127,7 @@ class ValveDriver(DeviceNode):
         for _ in self._voltages.take():
             pass
         self._quiet = 0
-        self._said = ()
+        self._told = ()
         self._arrivals.clear()
         self._answers.clear()
         self._begun = False
@@ -213,8 +212,11 @@ class ValveDriver(DeviceNode):
         """Log and publish the conditions if they have changed."""
         if self.working:
             conditions = self._conditions()
-            if [c.name for c in conditions] != [c.name for c in self._said]:
-                self._announce(conditions)
+            if self.differ(conditions):
+                self.tell(conditions)
+                if not conditions:
+                    self.get_logger().info("ok")
+                self._diagnose()
 
     def _conditions(self) -> tuple[Condition, ...]:
         """What is wrong now, worst first."""
@@ -234,20 +236,6 @@ class ValveDriver(DeviceNode):
         if self._quiet >= SILENT and "device_gone" not in {c.name for c in found}:
             own.append(Condition("no_reading", "safe", "the device gives no readings"))
         return tuple(sorted((*found, *own), key=lambda c: c.level, reverse=True))
-
-    def _announce(self, conditions: tuple[Condition, ...]) -> None:
-        before = {condition.name for condition in self._said}
-        for condition in conditions:
-            if condition.name in before:
-                continue
-            if condition.level == "safe":
-                self.get_logger().error(condition.text)
-            else:
-                self.get_logger().warning(condition.text)
-        if not conditions:
-            self.get_logger().info("ok")
-        self._said = conditions
-        self._diagnose()
 
     # Services and diagnostics
 

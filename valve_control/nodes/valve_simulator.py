@@ -43,7 +43,6 @@ WAIT = 1.0  # s; lockstep: between two looks at who might answer a reading witho
 CORRUPT = b""  # a frame that DDS cannot read and drops: its sequence number is missing at the receiver
 BEYOND = 1.5  # times u_max, a reading out of range
 WEAK = 0.2  # of the gain, a weak solenoid
-WATCH_GRAPH = 0.1  # s between two looks at who publishes
 SLOPES = {"flipped": -1.0, "half": 0.5}  # of an LVDT
 NEVER = math.inf
 
@@ -92,7 +91,6 @@ class ValveSimulator(Managed):
         self._fault = ("none", "none")
         self._fault_left = 0
         self._second: Any = None
-        self._rivals = 0  # publishers of the voltage, if there are several
         self._realtime: realtime.Request | None = None
         self._counts = dict.fromkeys(
             ("late_voltages", "voltage_refused", "voltage_timeouts", "samples_skipped", "resent"), 0
@@ -100,9 +98,7 @@ class ValveSimulator(Managed):
         self._clock_message = ClockMessage()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         ParameterSet(self, VALVE, self._build, self._apply, alone)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0, self._diagnose, clock=steady)
-        self.create_timer(WATCH_GRAPH, self._watch_graph, clock=steady)
+        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         for sentence in registry.REFUSED:
             self.get_logger().warning(sentence)
         if self._values["autostart"]:
@@ -355,16 +351,6 @@ class ValveSimulator(Managed):
                 )
         return arrived
 
-    def _watch_graph(self) -> None:
-        """Warn of a second publisher of voltages: two controllers on one valve fight each other."""
-        publishers = self.count_publishers("valve_voltage") if self._voltages is not None else 0
-        several = publishers if publishers > 1 else 0
-        if several != self._rivals:
-            self._rivals = several
-            if several:
-                self.get_logger().warning(f"{several} publishers on valve_voltage")
-            self._diagnose()
-
     def _diagnose(self) -> None:
         values = {
             "samples": self._samples,
@@ -380,8 +366,6 @@ class ValveSimulator(Managed):
             text = "inactive" if self._voltages is not None else "unconfigured"
         elif self._centring:
             level, text = DiagnosticStatus.ERROR, "no voltage: 0 V, the spring centres the spool"
-        elif self._rivals:
-            level, text = DiagnosticStatus.WARN, f"{self._rivals} publishers on valve_voltage"
         elif self._fault != ("none", "none"):
             level, text = DiagnosticStatus.WARN, "simulating a fault"
         self._diagnostics.publish(diagnostics(self, level, text, values))
