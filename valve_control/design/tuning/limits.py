@@ -82,7 +82,7 @@ RESTLESS = (
     f"{{value:.2g}} % of the valves in the box do not rest within {limit_cycles.HELD:g} s after a step when "
     "half of the margins is gone"
 )
-OVERSHOT = "steps are overshot by {value:.2g} % on valves that were not seen, above {limit:g} %"
+OVERSHOT = "steps are overshot by {value:.3g} % on valves that were not seen, above {limit:g} %"
 LOUD = "c_u is {value:.3f} on valves that were not seen, above {limit:g}"
 LIMITS = (
     Limit("largest pole", "", 1.0, True, MARGINS, 1.0 + EDGE, UNSTABLE, margin="radius"),
