@@ -11,8 +11,6 @@ import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.control.laws import biquads, design
-from valve_control.control.laws.signals import Start
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import valve
@@ -92,16 +90,3 @@ def test_roots_as_frequency_and_damping():
     assert pole.pair and math.isclose(pole.damping, 0.3) and math.isclose(pole.frequency, 50.0 / math.pi)
     slow, fast = bode.roots((1.0, -6.0, 5.0))
     assert (slow.pair, slow.damping, fast.damping) == (False, -1.0, -1.0) and fast.frequency > slow.frequency
-
-
-def test_sections_response_is_that_of_the_law():
-    p = design.compensator_params(design.PRINTED_FOURTH_ORDER, 0.001, 1e6)
-    s = biquads.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
-    k = np.arange(2000)
-    out = []
-    for value in np.cos(2.0 * np.pi * 0.02 * k):
-        voltage, s, _ = biquads.step(p, s, float(value), 0.0, 0.0)
-        out.append(voltage)
-    late = k >= 1000
-    fit = 2.0 * np.mean(np.array(out)[late] * np.exp(-2j * np.pi * 0.02 * k[late]))
-    assert abs(bode.sections_response(p, np.array([20.0]), 0.001)[0] / fit - 1.0) < 1e-6

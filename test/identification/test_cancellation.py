@@ -7,7 +7,7 @@ import pytest
 
 from valve_control.control.laws import design
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
-from valve_control.design.identification import bode, cancellation
+from valve_control.design.identification import cancellation
 from valve_control.parameter import ParameterError
 
 
@@ -35,9 +35,8 @@ def test_warnings():
     light = cancellation.make(FOURTH_ORDER, 20.0, amplitude=5.0).warnings
     assert "poles at 32.33 Hz have a damping of 0.29" in light[0]
     assert any("a step by 5 V saturates" in warning for warning in light)
-    loud = cancellation.make(SECOND_ORDER, 100.0, amplitude=9.5).warnings
+    loud = cancellation.make(SECOND_ORDER, 100.0).warnings
     assert any("noise of the command" in warning for warning in loud)
-    assert any("9.5 V held needs 10.5 V of 10 V" in warning for warning in loud)
     right = TransferFunction((-10.0, 2000.0), (1.0, 30.0, 900.0, 5000.0))
     assert any("lies to the right" in warning for warning in cancellation.make(right, 10.0).warnings)
 
@@ -50,27 +49,11 @@ def test_warnings():
         (TransferFunction((0.0,), (1.0, 2.0)), "must not be 0"),
         (TransferFunction((1.0, 0.0), (1.0, 2.0, 3.0)), "zero at 0 rad/s"),
         (TransferFunction((float("inf"),), (1.0, 2.0)), "not finite"),
-        (TransferFunction((1e-300,), (1.0, 50.0, 1500.0)), "static gain is 6.67e-304"),
-        (TransferFunction((1.0,), (1e-300, 50.0, 1500.0)), "too different sizes"),
-        (TransferFunction((1e-300, 1500.0), (1.0, 50.0, 1500.0)), "too different sizes"),
     ],
 )
 def test_models_that_cannot_be_compensated(model, words):
     with pytest.raises(ParameterError, match=words):
         cancellation.make(model, 10.0)
-
-
-def test_mismatch_is_what_a_valve_ten_per_cent_off_makes():
-    root = bode.Root(30.0, 0.29, True)
-    f = np.linspace(10.0, 60.0, 2000)
-    w = 60.0 * np.pi
-
-    def pair(scale):
-        model = TransferFunction(((scale * w) ** 2,), (1.0, 0.58 * scale * w, (scale * w) ** 2))
-        return 20.0 * np.log10(np.abs(bode.response(model, f)))
-
-    worst = max(np.max(np.abs(pair(s) - pair(1.0))) for s in (0.9, 1.1))
-    assert np.isclose(cancellation.mismatch(root), worst, atol=0.02)
 
 
 def test_factors_of_the_printed_compensators():

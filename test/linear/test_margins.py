@@ -52,12 +52,10 @@ def radius(law, params, plants):
     return np.abs(linear_loop.dominant_poles(linear, linear_loop.linear_valves(plants)))
 
 
-@pytest.mark.parametrize("late", [(1.0, 0.0), (1.2, 0.0004)], ids=["nominal", "late"])
 @pytest.mark.parametrize("case", CASES)
-def test_told_margins_are_those_at_which_the_loop_breaks(case, late):
+def test_told_margins_are_those_at_which_the_loop_breaks(case, gain=1.2, begin=0.0004):
     """Gain and dead time of the whole simulated valve are turned up until it does not come to rest."""
     law, params = law_of(*CASES[case])
-    gain, begin = late
     found = told(law, params, plant(gain, begin))
     factor, delay = gain * 10.0 ** (found.gain_db[0] / 20.0), found.delay_s[0]
     shares = np.arange(0.8, 1.21, 0.02)
@@ -125,7 +123,7 @@ def test_peaks_bound_the_margins():
 
 
 @pytest.mark.parametrize("order", [2, 4])
-@pytest.mark.parametrize("delay", [0.0, 0.0004, 0.001, 0.0023])
+@pytest.mark.parametrize("delay", [0.0, 0.0023])
 def test_the_linear_valve_moves_as_the_simulated_one(order, delay):
     model = FOURTH_ORDER if order == 4 else TransferFunction((1502.0,), (1.0, 58.8, 1657.0))
     p = plant(1.3, delay, model)

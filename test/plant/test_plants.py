@@ -128,23 +128,15 @@ def test_a_plant_of_another_package_runs_in_the_loop(monkeypatch):
     ("changes", "said"),
     [
         ({"name": "No Word"}, "its name is 'No Word'; it must be one word in lower case"),
-        ({"module": types.ModuleType("empty")}, "its first step fails: AttributeError"),
         ({"parameters": solenoid_valve.PARAMETERS}, "its parameter solenoid.u_min must begin with 'lag.'"),
-        ({"build": lambda given: given["gone"]}, "its first step fails: KeyError: 'gone'"),
         (
             {"linear": lambda params: params},
             "its linear gives test_plants.Params; it must be valve_control.control.plant.valve.Params",
         ),
-        ({"module": None}, "its first step fails"),
+        ({"module": types.ModuleType("empty")}, "its first step fails: AttributeError"),
     ],
 )
 def test_a_plant_that_is_none_is_refused_in_one_sentence(changes, said):
-    if changes.get("module", 1) is None:
-        broken = types.ModuleType("broken")
-        for part in (Params, State, initial, read):
-            setattr(broken, part.__name__, part)
-        broken.step = lambda params, state, voltage: None
-        changes = {"module": broken}
     with pytest.raises(plugins.PluginError) as refused:
         try_out(plugins.check(lag_plant(**changes), Plant), registry.TRIED)
     assert said in str(refused.value) and "\n" not in str(refused.value)

@@ -215,8 +215,7 @@ def triangle(amplitude, samples):
     return np.concatenate([one, one])
 
 
-@pytest.mark.parametrize("width", [0.2, 1.0, 3.0])
-def test_the_slow_loop_has_the_width_and_the_area_of_a_parallelogram(width):
+def test_the_slow_loop_has_the_width_and_the_area_of_a_parallelogram(width=1.0):
     p = made(hysteresis=width, gain=0.8, natural_frequency=60.0, coil=0.0005, damping=1.0)
     u = triangle(4.0, 4000)
     x = run(p, u)[1:, 0]
@@ -229,31 +228,7 @@ def test_the_slow_loop_has_the_width_and_the_area_of_a_parallelogram(width):
     assert area == pytest.approx(full * (8.0 - width), rel=0.01)
 
 
-@pytest.mark.parametrize(
-    ("overlap", "voltage", "position"),
-    [(0.5, 2.0, 1.5), (0.5, -2.0, -0.9 * 1.5), (0.5, 0.4, 0.0), (0.0, -1.0, -0.9), (-0.5, 2.0, 2.5),
-     (-0.5, 0.2, 0.7 - 0.9 * 0.3), (-0.5, -2.0, -0.9 * 2.5)],
-)  # fmt: skip
-def test_each_side_has_its_gain_and_acts_from_the_overlap_on(overlap, voltage, position):
-    p = made(gain=1.0, positive=1.0, negative=0.9, overlap=overlap, natural_frequency=30.0)
-    assert run(p, [voltage] * 300)[-1, 0] == pytest.approx(position, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("low", "asked", "there"), [(0.0, -5.0, 0.0), (-3.0, -8.0, -3.0), (-3.0, 20.0, 10.0)]
-)
-def test_the_amplifier_limits_each_side_by_itself(low, asked, there):
-    p = made(gain=0.9, u_min=low, natural_frequency=30.0)
-    assert run(p, [asked] * 300)[-1, 0] == pytest.approx(0.9 * there, abs=1e-6)
-
-
-def test_below_the_level_friction_is_a_spring_of_the_presliding_stiffness():
-    p = made(gain=0.9, friction__coulomb=1.0, friction__presliding=0.01, natural_frequency=20.0)
-    x = run(p, np.linspace(0.0, 0.05, 2000))[-1, 0]
-    assert x == pytest.approx(0.05 / (1.0 / 0.9 + 1.0 / 0.01), rel=0.03)
-
-
-@pytest.mark.parametrize("velocity", [0.001, 0.02, 0.05, 0.2, 40.0, 2000.0, -0.05])
+@pytest.mark.parametrize("velocity", [0.001, 0.05, 2000.0, -0.05])
 def test_steady_sliding_rubs_at_stribeck_s_level(velocity):
     f = made(
         friction__coulomb=0.6, friction__static_ratio=1.5, friction__stribeck_velocity=0.05,
@@ -266,16 +241,6 @@ def test_steady_sliding_rubs_at_stribeck_s_level(velocity):
         motion = solenoid.rub(f, h, 0.0, motion.bristle, velocity, velocity)
     assert motion.velocity == pytest.approx(velocity, rel=1e-12)
     assert motion.friction == pytest.approx(math.copysign(level, velocity), rel=1e-6)
-
-
-def test_at_constant_velocity_the_bristles_follow_the_exact_exponential():
-    f = made(friction__coulomb=0.6, friction__presliding=0.01).friction
-    h, velocity = 1e-5, 30.0
-    bristle, exact = 0.0, 0.0
-    for k in range(1, 200):
-        bristle = solenoid.rub(f, h, 0.0, bristle, velocity, velocity).bristle
-        exact = 0.01 * (1.0 - math.exp(-velocity * k * h / 0.01))
-        assert bristle == pytest.approx(exact, abs=1e-6)
 
 
 @pytest.mark.parametrize("frequency", [2.0, 15.0, 40.0])
@@ -299,27 +264,14 @@ def test_small_motions_without_friction_have_the_model_s_response(frequency):
     assert found[1] + 1j * found[0] == pytest.approx(exact * hold, abs=0.004 * abs(exact))
     like = solenoid_valve.linear(p)
     assert like.lvdt.delay == pytest.approx(1.5)
-    linear = valve.initial(like)
-    for k, voltage in enumerate(np.sin(2.0 * np.pi * frequency * t[:200])):
-        assert linear.x.x0 == pytest.approx(run_without_dead_time(chosen, t, frequency)[k], abs=2e-3)
+    linear, voltages = valve.initial(like), np.sin(2.0 * np.pi * frequency * t[:200])
+    in_time = run(made(**{**chosen, "dead_time": 0.0}), voltages)[:, 0]
+    for position, voltage in zip(in_time, voltages, strict=False):
+        assert linear.x.x0 == pytest.approx(position, abs=2e-3)
         linear = valve.step(like, linear, float(voltage))
 
 
-def run_without_dead_time(chosen, t, frequency, known={}):  # noqa: B006 - a memory
-    if frequency not in known:
-        p = made(**{**chosen, "dead_time": 0.0})
-        known[frequency] = run(p, np.sin(2.0 * np.pi * frequency * t[:200]))[:, 0]
-    return known[frequency]
-
-
-def test_dead_time_of_whole_samples_shifts_the_motion():
-    bare, late = (run(made(**{**EVERYTHING, "dither": 0.0, "drift__gain": 0.0, "drift__stiffness": 0.0,
-                              "disturbance__offset": 0.0, "dead_time": dead}), MOTIONS[0])
-                  for dead in (0.0, 0.003))  # fmt: skip
-    assert late[3:, 0] == pytest.approx(bare[:-3, 0], abs=1e-9)
-
-
-@pytest.mark.parametrize(("side", "overlap"), [(1.0, 0.0), (0.5, 0.0), (0.9, -9.0)])
+@pytest.mark.parametrize(("side", "overlap"), [(0.5, 0.0), (0.9, -9.0)])
 def test_friction_and_offset_of_the_linear_valve_are_voltages_at_its_input_whatever_the_sides_gain(
     side, overlap
 ):
@@ -358,6 +310,3 @@ def test_any_valve_stays_within_its_stops_and_its_bristles_below_their_level(see
     assert np.all(np.isfinite(rows)) and np.all(np.abs(rows[:, 0]) <= 10.5)
     f = p.friction
     assert np.all(f.stiffness * np.abs(rows[:, 5]) <= (f.coulomb + f.static) * (1.0 + 1e-9))
-
-
-# Parameters

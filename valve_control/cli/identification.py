@@ -7,8 +7,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control import outputs
-from valve_control.cli.common import Progress, bag_options, check_outputs, deliver, tell_notes, write_json
+from valve_control.cli.common import (
+    Progress,
+    bag_options,
+    check_outputs,
+    deliver,
+    tell_notes,
+    write_json,
+    wrote,
+)
 from valve_control.cli.simulate import SCENARIOS, setup_options
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
@@ -24,7 +31,6 @@ MEASURED = (
     "bag", "valve", "scenario", "command", "duration", "seed", "params_file", "friction", "settle", "band",
     "order", "delay", "sensor_delay", "figure", "characteristic", *RECORDED,
 )  # fmt: skip
-TABLES, FIGURES = (".csv", ".json", ".yaml", ".yml"), (".png", ".svg")  # of a characteristic curve
 
 
 def add_commands(commands: Any) -> None:
@@ -66,8 +72,8 @@ def add_commands(commands: Any) -> None:
         action="append",
         default=[],
         metavar="FILE",
-        help="with --friction: write the characteristic curve in both directions, 100 points, as CSV, "
-        "JSON, PNG or SVG, or as YAML the parameters linearisation.* of its inverse; again for more",
+        help="with --friction: draw the characteristic curve in both directions as PNG or SVG, or write as "
+        "YAML the parameters linearisation.* of its inverse; again for more (--json has its 100 points)",
     )
     output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
     identify.set_defaults(run=_identify)
@@ -114,13 +120,40 @@ def second_order(text: str) -> tuple[float, float, float]:
 
 
 def _identify(arguments: argparse.Namespace) -> int:
-    from valve_control.design.identification import identify, result
+    from valve_control.design.identification import characteristic, result
 
-    tables = [path for path in arguments.characteristic if Path(path).suffix.lower() in TABLES]
+    tables = [path for path in arguments.characteristic if Path(path).suffix.lower() in (".yaml", ".yml")]
     drawings = [path for path in arguments.characteristic if path not in tables]
     check_outputs(arguments, [arguments.output, *tables], [arguments.figure, *drawings])
-    if arguments.second_order is not None:
-        return _from_datasheet(arguments)
+    tested = arguments.second_order is None
+    found = _tested(arguments) if tested else _from_datasheet(arguments)
+    if arguments.characteristic and found.curve is None:
+        raise ParameterError(
+            "there is no characteristic curve: the slow triangle moved the spool to one side alone"
+        )
+    files: list[tuple[str, str | bytes]] = [(path, result.linearisation_text(found)) for path in tables]
+    if arguments.output is not None or not tested:
+        result.check_parameters(result.parameters(found))
+    if arguments.output is not None:
+        files.append((arguments.output, result.yaml_text(found)))
+    if arguments.figure is not None:
+        files.append((arguments.figure, result.bode_figure(found, arguments.figure)))
+    if arguments.json != "-":
+        print(result.text(found))
+    for path, content in files:
+        deliver(arguments, path, content)
+    for path in drawings:
+        assert found.curve is not None
+        characteristic.draw(found.curve, path)
+        wrote(arguments, path)
+    write_json(arguments, result.as_dict(found))
+    return 0
+
+
+def _tested(arguments: argparse.Namespace) -> "Identification":
+    """The valve of tests, simulated or recorded."""
+    from valve_control.design.identification import identify
+
     if arguments.characteristic and arguments.friction is None:
         raise ParameterError("--characteristic comes from the slow triangle of --friction; give that too")
     if arguments.friction is not None and (arguments.friction == "") != (arguments.bag is None):
@@ -138,21 +171,13 @@ def _identify(arguments: argparse.Namespace) -> int:
     progress(0)
     tested, triangle = _simulated(arguments) if arguments.bag is None else _recorded(arguments)
     progress(next(steps))
-    identified = identify.identified(tested, triangle, request, lambda: progress(next(steps)))
-    files = [(path, _curve(identified, path)) for path in arguments.characteristic]
-    if arguments.output is not None:
-        result.check_parameters(result.parameters(identified))
-        files.append((arguments.output, result.yaml_text(identified)))
-    if arguments.figure is not None:
-        files.append((arguments.figure, result.bode_figure(identified, arguments.figure)))
-    _deliver(arguments, result.text(identified), result.as_dict(identified), files)
-    return 0
+    return identify.identified(tested, triangle, request, lambda: progress(next(steps)))
 
 
-def _from_datasheet(arguments: argparse.Namespace) -> int:
-    """Write what follows from natural frequency, damping and static gain, without a test."""
+def _from_datasheet(arguments: argparse.Namespace) -> "Identification":
+    """The valve that natural frequency, damping and static gain describe."""
     from valve_control.control.parameters import files as parameter_files
-    from valve_control.design.identification import datasheet, result
+    from valve_control.design.identification import datasheet
 
     _refuse(arguments, MEASURED, "identify --second-order measures nothing, so it")
     direct = {"valve_simulator": {"sample_period": arguments.sample_period}}
@@ -165,22 +190,7 @@ def _from_datasheet(arguments: argparse.Namespace) -> int:
     changes = parameter_files.given([], direct, arguments.set)["valve_simulator"]
     table = NODES["valve_simulator"]
     frequency, damping, gain = arguments.second_order
-    valve = datasheet.second_order(frequency, damping, gain, updated(table, defaults(table), changes))
-    result.check_parameters(datasheet.parameters(valve))
-    files = [] if arguments.output is None else [(arguments.output, datasheet.yaml_text(valve))]
-    _deliver(arguments, datasheet.text(valve), datasheet.as_dict(valve), files)
-    return 0
-
-
-def _deliver(
-    arguments: argparse.Namespace, text: str, about: Any, files: Iterable[tuple[str, str | bytes]]
-) -> None:
-    """Print ``text``, and write the ``files`` and ``about`` as JSON."""
-    if arguments.json != "-":
-        print(text)
-    for path, content in files:
-        deliver(arguments, path, content)
-    write_json(arguments, about)
+    return datasheet.second_order(frequency, damping, gain, updated(table, defaults(table), changes))
 
 
 def _refuse(arguments: argparse.Namespace, names: Iterable[str], who: str) -> None:
@@ -189,24 +199,6 @@ def _refuse(arguments: argparse.Namespace, names: Iterable[str], who: str) -> No
         if getattr(arguments, name) not in (None, [], False):
             option = {"start": "from", "end": "to"}.get(name, name.replace("_", "-"))
             raise ParameterError(f"{who} takes no {'' if name == 'bag' else '--'}{option}")
-
-
-def _curve(identified: "Identification", path: str) -> str | bytes:
-    """The characteristic curve as the file ``path``. Raises ParameterError if there is none."""
-    from valve_control.design.identification import characteristic, result
-
-    if identified.curve is None:
-        raise ParameterError(
-            "there is no characteristic curve: the slow triangle moved the spool to one side alone"
-        )
-    ending = Path(path).suffix.lower()
-    if ending == ".csv":
-        return characteristic.csv_text(identified.curve)
-    if ending == ".json":
-        return outputs.as_json(characteristic.as_dict(identified.curve))
-    if ending in FIGURES:
-        return characteristic.figure(identified.curve, path)
-    return result.linearisation_text(identified)
 
 
 def _simulated(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | None]":

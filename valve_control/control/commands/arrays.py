@@ -51,12 +51,9 @@ def read(path: str) -> Floats:
             f"command file {path} must hold one number a line (CSV) or a one-dimensional array (NPY): "
             f"{reason}"
         ) from error
-    if np.iscomplexobj(array):
-        raise ParameterError(f"command file {path} holds complex numbers; it must hold real ones")
-    try:
-        numbers: Floats = np.asarray(array, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ParameterError(f"command file {path} must hold numbers, not {array.dtype}") from error
+    if array.dtype.kind not in "fiub":
+        raise ParameterError(f"command file {path} must hold real numbers, not {array.dtype}")
+    numbers: Floats = np.asarray(array, dtype=np.float64)
     if numbers.ndim == 2 and 1 in numbers.shape:
         numbers = numbers.ravel()
     if numbers.ndim != 1 or numbers.size == 0:

@@ -29,7 +29,7 @@ from valve_control.control.laws.signals import Start
 from valve_control.control.linear import linear_loop
 from valve_control.control.plant import registry, sensor, valve
 from valve_control.control.plant.plant import Plant
-from valve_control.control.simulation import measures, singly
+from valve_control.control.simulation import measures, offline
 from valve_control.control.simulation.measures import Results, Tally
 
 Valves = npt.NDArray[np.int64]
@@ -118,9 +118,7 @@ def read_delayed(p: valve.Params, position: float, noise: float) -> float:
 
 def counted(p: measures.Now, tally: Tally, now: closed_loop.Sample, position: float) -> tuple[Tally, bool]:
     """Update the measures with this sample; ``p`` has what ``now`` lacks."""
-    here = measures.Now(
-        p.command, now.reading, p.position, now.voltage, p.first, p.final, p.time, p.u_max, p.period
-    )
+    here = measures.Now(p.command, now.reading, p.position, now.voltage, p.first, p.final, p.u_max)
     return measures.count(tally, here), False
 
 
@@ -140,23 +138,14 @@ def sample(lane: Lane, first: bool, final: bool) -> Work:
     ``first``: at the first sample; ``final``: within the last two seconds.
     """
     w, p = lane.work, lane.valve
-    at = measures.Now(w.command, 0.0, w.motion.x.x0, 0.0, first, final, w.motion.time, p.u_max, p.period)
+    at = measures.Now(w.command, 0.0, w.motion.x.x0, 0.0, first, final, p.u_max)
     parts = closed_loop.Parts(0.0, lane.law, p, at)
     now, _, law, tally, _ = one_sample(parts, 0.0, w.law, w.position, w.tally, w.led, w.noise)
     x, bristle = valve.move(p, w.motion.x, w.motion.bristle, w.motion.time, w.level, now.voltage)
     return Work(
-        w.noise,
-        w.position,
-        w.command,
-        w.led,
-        now.reading,
-        w.motion.x.x0,
-        now.voltage,
-        w.level,
-        tally,
-        SpoolState(x, bristle, w.motion.time + p.period),
-        law,
-    )
+        w.noise, w.position, w.command, w.led, now.reading, w.motion.x.x0, now.voltage, w.level,
+        tally, SpoolState(x, bristle, w.motion.time + p.period), law,
+    )  # fmt: skip
 
 
 def run_block(
@@ -312,21 +301,17 @@ class Prepared(NamedTuple):
     led: Floats  # V  likewise
     stride: int  # between the commands of one valve and the next
     samples: int
-    period: float  # s
+    last_begin: int  # sample at which the last two seconds begin
 
 
 def _commands(given: Floats, count: int) -> Floats:
     commands = np.asarray(given, dtype=np.float64)
     if commands.ndim not in (1, 2) or commands.shape[:-1] not in ((), (count,)) or commands.size == 0:
         raise ValueError(f"commands of {count} valves have shape (n) or ({count}, n), not {commands.shape}")
-    if not np.all(np.isfinite(commands)):
-        raise ValueError("commands must be finite")
     return commands
 
 
 def _prepared(batch: Batch) -> Prepared:
-    if batch.controller not in LAWS:
-        raise ValueError(f"there is no controller '{batch.controller}'; there are {', '.join(LAWS)}")
     law, like_law = _law(batch)
     seeds = np.asarray(batch.seeds)
     if seeds.ndim != 1 or len(seeds) == 0 or seeds.dtype.kind not in "iu" or np.any(seeds < 0):
@@ -365,7 +350,7 @@ def _prepared(batch: Batch) -> Prepared:
         led=led.ravel(),
         stride=0 if commands.ndim == 1 else samples,
         samples=samples,
-        period=float(periods[0]),
+        last_begin=samples - max(1, min(samples, round(2.0 / float(periods[0])) + 1)),
     )
 
 
@@ -389,7 +374,7 @@ def _run_lanes(ready: Prepared, start: int, traces: Floats) -> Floats:
         stride=ready.stride,
         valves=valves,
         history=np.zeros((LANES, int(np.max(ready.delays[valves])) + 2, 2)),
-        last_begin=_last_begin(ready),
+        last_begin=ready.last_begin,
         traces=traces,
     )
     at = Work._fields.index("tally")
@@ -398,28 +383,27 @@ def _run_lanes(ready: Prepared, start: int, traces: Floats) -> Floats:
 
 def _run_singly(ready: Prepared, valves: Valves, traces: Floats) -> Floats:
     """Tallies of ``valves``, whose plant has no loop over several at once."""
-    samples = traces.shape[1]
-    tallies = []
+    samples, tallies = traces.shape[1], []
     for i in valves.tolist():
-        first = i * ready.stride
-        run = singly.Run(
-            ready.law,
-            linear_loop.unflatten(ready.like.law, ready.law_rows[i].tolist()),
-            ready.plant.module,
-            linear_loop.unflatten(ready.like.valve, ready.valve_rows[i].tolist()),
-            int(ready.seeds[i]),
-            ready.commands[first : first + samples],
-            ready.led[first : first + samples],
-            _last_begin(ready),
-        )
+        one = slice(i * ready.stride, i * ready.stride + samples)
+        law = linear_loop.unflatten(ready.like.law, ready.law_rows[i].tolist())
+        plant = linear_loop.unflatten(ready.like.valve, ready.valve_rows[i].tolist())
         signals = traces[i] if len(traces) else np.empty((samples, len(closed_loop.SIGNALS)))
-        tallies.append(linear_loop.flatten(singly.simulate(run, signals)))
+        noise = np.random.default_rng(int(ready.seeds[i])).standard_normal(len(signals))
+        closed_loop.run_valve(
+            ready.law,
+            closed_loop.parts(law, plant),
+            offline.at_rest(ready.law, law, plant, float(noise[0])),
+            ready.led[one],
+            noise,
+            signals,
+            np.empty((0, len(ready.law.Terms._fields))),
+        )
+        tally = compile_function(measures.tallied, nogil=True)(
+            ready.commands[one], signals, ready.last_begin, plant.u_max
+        )
+        tallies.append(linear_loop.flatten(tally))
     return np.array(tallies)
-
-
-def _last_begin(ready: Prepared) -> int:
-    """Sample at which the last two seconds begin."""
-    return ready.samples - max(1, min(ready.samples, round(2.0 / ready.period) + 1))
 
 
 def simulate(batch: Batch, threads: int | None = None, traces: Floats | None = None) -> Results:

@@ -39,21 +39,16 @@ class Delivery(NamedTuple):
 
 def check(values: Values, delivery: Delivery) -> None:
     """Raise ParameterError for a ``delivery`` that cannot be, at the sample period of ``values``."""
-    period, most = number(values, "sample_period"), command_course.LONGEST
-    if not period <= delivery.period <= most:
-        raise ParameterError(
-            f"--command-period is {delivery.period:g} s; it must lie between the sample period, "
-            f"{period:g} s, and {most:g} s"
-        )
-    if not 0.0 <= delivery.jitter <= delivery.period:
-        raise ParameterError(
-            f"--command-jitter is {delivery.jitter:g} s; it must lie between 0 and the period of the "
-            f"commands, {delivery.period:g} s"
-        )
-    if not abs(delivery.drift) <= FASTEST:
-        raise ParameterError(
-            f"--command-drift is {1e6 * delivery.drift:g} ppm; it must lie within ±{1e6 * FASTEST:g} ppm"
-        )
+    period = number(values, "sample_period")
+    for name, value, low, high, unit in (
+        ("period", delivery.period, period, command_course.LONGEST, "s"),
+        ("jitter", delivery.jitter, 0.0, delivery.period, "s"),
+        ("drift", 1e6 * delivery.drift, -1e6 * FASTEST, 1e6 * FASTEST, "ppm"),
+    ):
+        if not low <= value <= high:
+            raise ParameterError(
+                f"--command-{name} is {value:g} {unit}; it must lie between {low:g} and {high:g} {unit}"
+            )
 
 
 def received(values: Values, wanted: Floats, delivery: Delivery | None) -> Floats:

@@ -20,9 +20,7 @@ class Now(NamedTuple):
     voltage: float  # V
     first: bool  # whether this is the first sample
     final: bool  # whether it is within the last two seconds
-    time: float  # s
     u_max: float  # V
-    period: float  # s
 
 
 class Tally(NamedTuple):
@@ -69,6 +67,18 @@ def count(t: Tally, now: Now) -> Tally:
         t.saturated + (1.0 if abs(now.voltage) >= now.u_max else 0.0),
         now.voltage,
     )
+
+
+def tallied(commands: Floats, signals: Floats, last_begin: int, u_max: float) -> Tally:
+    """Tally of one run with its ``commands`` [V], n, and ``signals`` (n×3): position, reading, voltage [V].
+
+    ``last_begin``: sample at which the last two seconds begin.
+    """
+    t = Tally(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for k in range(signals.shape[0]):
+        position, reading, voltage = signals[k, 0], signals[k, 1], signals[k, 2]
+        t = count(t, Now(commands[k], reading, position, voltage, k == 0, k >= last_begin, u_max))
+    return t
 
 
 def results(tallies: Floats, samples: int) -> Results:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulates one whole run offline: law, valve and command as in the nodes, without middleware."""
 
+import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
@@ -100,8 +101,6 @@ def simulate(
     The error is that from ``command`` all the same.
     """
     check_agreement(controller_values, valve_values)
-    if noise_start < 0:
-        raise ParameterError(f"noise_start is {noise_start}; it must be 0 or more")
     law = LAWS[word(controller_values, "controller")]
     law_params = law.build(controller_values) if alone else build.law_params(controller_values)
     valve_params = build.valve_params(valve_values)
@@ -115,7 +114,8 @@ def simulate(
     noise = np.random.default_rng(seed).standard_normal(noise_start + n)[noise_start:]
     loop = _Loop(law, law_params, linearisation.behind(controller_values, law_params), valve_params)
     terms = np.zeros((n, len(labels)))
-    led = _led(loop, controller_values, command, delivered)
+    lead = command_lead.build(controller_values, law.reshapes(law_params))
+    led = delivery.led(lead, controller_values, command, delivered)
     signals, end = _ran(loop, led, noise, terms, compiled, told)
     position, measurement, voltage = signals.T
     least = number(controller_values, "oscillation_limit")
@@ -188,10 +188,12 @@ def _cut(law: Law, params: Any, terms: Floats, model: TransferFunction) -> str:
     return "; ".join(said)
 
 
-def _led(loop: _Loop, values: Values, command: Floats, delivered: Delivery | None) -> Floats:
-    """Commands [V] as the law gets them, with the lead of the controller's ``values``."""
-    lead = command_lead.build(values, loop.law.reshapes(loop.params))
-    return delivery.led(lead, values, command, delivered)
+def at_rest(law: types.ModuleType, law_params: Any, plant: Any, noise: float) -> closed_loop.Parts:
+    """States of a loop at rest, whose law starts from the first reading with this ``noise``."""
+    module = registry.plant_of(plant).module
+    rest = module.initial(plant)
+    first = module.read(plant, rest, noise)
+    return closed_loop.parts(law.initial(law_params, Start(first, 0.0, first, 0.0, 0.0)), rest)
 
 
 def _ran(
@@ -203,11 +205,8 @@ def _ran(
     """
     n = len(led)
     signals = np.full((n, len(closed_loop.SIGNALS)), np.nan)  # of samples that are not computed yet
-    plant = registry.plant_of(loop.plant).module
-    rest = plant.initial(loop.plant)
-    first = plant.read(loop.plant, rest, noise[0])
     module = linearisation.module_of(loop.law.module, loop.behind)
-    end = closed_loop.parts(module.initial(loop.behind, Start(first, 0.0, first, 0.0, 0.0)), rest)
+    end = at_rest(module, loop.behind, loop.plant, noise[0])
     params = closed_loop.parts(loop.behind, loop.plant)
     with _timed(signals, loop.plant.period), explained(loop.law.title):
         for start in range(0, n, PIECE):

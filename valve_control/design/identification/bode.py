@@ -47,8 +47,7 @@ def held_response(model: TransferFunction, frequency: Floats, period: float, del
 
     Input k is held from t_k to t_k + ``period`` [s]; output k is read at t_k, just before input k counts.
     So y_k depends on inputs up to k-1, as in the loop, and the hold's half sample of delay is in it. The dead
-    time ``delay`` [s] need not be a whole number of periods. Raises ValueError unless the model has more
-    poles than zeros.
+    time ``delay`` [s] need not be a whole number of periods. The model has more poles than zeros.
     """
     scaled, scale = _time_scaled(model)
     a, b, c = _companion(scaled)
@@ -104,10 +103,6 @@ def _time_scaled(model: TransferFunction) -> tuple[TransferFunction, float]:
     denominator = np.trim_zeros(np.asarray(model.denominator, dtype=np.float64), "f")
     numerator = np.trim_zeros(np.asarray(model.numerator, dtype=np.float64), "f")
     n = len(denominator) - 1
-    if n < 1 or len(numerator) > n:
-        raise ValueError(
-            f"{max(0, len(numerator) - 1)} zeros and {n} poles: a valve has more poles than zeros"
-        )
     scale = float(np.exp(np.mean(np.log(np.maximum(np.abs(np.roots(denominator)), 1e-3)))))
     d = denominator / denominator[0] * scale ** -np.arange(n + 1.0)
     m = numerator / denominator[0] * scale ** -(np.arange(len(numerator)) + n + 1.0 - len(numerator))
@@ -126,13 +121,22 @@ def _companion(model: TransferFunction) -> tuple[Floats, Floats, Floats]:
     return a, b, c
 
 
+def _sections(p: biquads.Params) -> list[list[float]]:
+    return [[g.b0, g.b1, g.b2, 1.0, g.a1, g.a2] for g in (p.first, p.second, p.third)]
+
+
 def sections_response(p: biquads.Params, frequency: Floats, period: float) -> Complexes:
     """Response of a compensator's sections at ``frequency`` [Hz], one sample every ``period`` [s]."""
     delay = np.exp(-2j * np.pi * frequency * period)
     value = np.ones(len(frequency), dtype=np.complex128)
-    for g in (p.first, p.second, p.third):
-        value *= (g.b0 + delay * (g.b1 + delay * g.b2)) / (1.0 + delay * (g.a1 + delay * g.a2))
+    for b0, b1, b2, _, a1, a2 in _sections(p):
+        value *= (b0 + delay * (b1 + delay * b2)) / (1.0 + delay * (a1 + delay * a2))
     return value
+
+
+def step_peak(p: biquads.Params, samples: int) -> float:
+    """Largest output of a compensator's sections within so many ``samples`` after a step by 1, unlimited."""
+    return float(np.max(np.abs(scipy.signal.sosfilt(_sections(p), np.ones(samples)))))
 
 
 def corners(evaluate: Callable[[Floats], Complexes], highest: float = HIGHEST) -> Corners:
@@ -140,22 +144,19 @@ def corners(evaluate: Callable[[Floats], Complexes], highest: float = HIGHEST) -
     frequency = np.geomspace(LOWEST, highest, GRID)
     reached: list[float | None] = []
     for read, level in ((decibels, -3.0), (degrees, -90.0)):
-
-        def relative(frequency: Floats, read: Callable[[Complexes], Floats] = read) -> Floats:
-            value = evaluate(frequency)
-            return read(value / value[0])
-
-        below = np.flatnonzero(relative(frequency) < level)
+        value = evaluate(frequency)
+        below = np.flatnonzero(read(value / value[0]) < level)
         if len(below) == 0 or below[0] == 0:
             reached.append(None)
             continue
         last = int(below[0])
         # The start stays in, since both are counted from there; the bracket is made fine.
         fine = np.concatenate([frequency[:last], np.linspace(frequency[last - 1], frequency[last], 200)[1:]])
-        value = relative(fine)[last - 1 :]
-        i = int(np.argmax(value < level))
+        value = evaluate(fine)
+        relative = read(value / value[0])[last - 1 :]
+        i = int(np.argmax(relative < level))
         f0, f1 = fine[last - 2 + i], fine[last - 1 + i]
-        part = (value[i - 1] - level) / (value[i - 1] - value[i])
+        part = (relative[i - 1] - level) / (relative[i - 1] - relative[i])
         reached.append(float(f0 + part * (f1 - f0)))
     return Corners(*reached)
 
@@ -179,13 +180,11 @@ def model_corners(model: TransferFunction, delay: float = 0.0) -> Corners:
 
 def roots(coefficients: tuple[float, ...]) -> list[Root]:
     """Roots of a polynomial in s, slowest first; a complex pair is one entry."""
-    trimmed = np.trim_zeros(np.asarray(coefficients, dtype=np.float64), "f")
-    made = []
-    for value in np.roots(trimmed):
+    found = []
+    for value in np.roots(np.trim_zeros(np.asarray(coefficients, dtype=np.float64), "f")):
         size = abs(value)
         pair = abs(value.imag) > 1e-9 * size
-        if pair and value.imag < 0.0:
-            continue
-        damping = -math.cos(cmath.phase(value)) if size > 0.0 else 0.0
-        made.append(Root(size / (2.0 * math.pi), damping, pair))
-    return sorted(made, key=lambda root: root.frequency)
+        if not pair or value.imag > 0.0:
+            damping = -math.cos(cmath.phase(value)) if size > 0.0 else 0.0
+            found.append(Root(size / (2.0 * math.pi), damping, pair))
+    return sorted(found, key=lambda root: root.frequency)

@@ -11,28 +11,29 @@ off.
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.optimize
 import scipy.stats
 
-from valve_control import outputs
 from valve_control.arrays import Floats
-from valve_control.control.analysis.figures import COLOURS
+from valve_control.control.analysis.figures import Line, Plot, draw_plots
 from valve_control.control.laws import linearisation
-from valve_control.design.identification.experiment import Experiment, held
+from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.friction import (
     PRESLIDING,
     Friction,
+    Stroke,
+    Triangle,
     friction,
     sliding,
-    strokes_of,
+    triangle_of,
     turning,
 )
 from valve_control.parameter import ParameterError, Values
 
-Stroke = tuple[int, int, float]  # first sample, number of samples, direction 1.0 or -1.0
 POINTS = 100
 STRAIGHT = (0.15, 0.8)  # of the end of a stroke, between which a side is a straight line
 LEAST_POINTS = 20
@@ -51,7 +52,6 @@ TOLD_PLAY = 0.05  # V
 HARDLY = 1.01  # times the least presliding that is looked for, up to which none was seen
 DEAD = 0.05  # of the gain, slope of the table in an overlap: its inverse is steep there, and no step
 STOPPED = 0.02  # of the gain, slope of the table behind a stop
-TOLD_NULL = 0.02  # of u_max, from which on a null offset is told
 
 
 class Bounded(NamedTuple):
@@ -110,18 +110,18 @@ class Characteristic(NamedTuple):
 
 
 def characteristic(tested: Experiment, lag: float) -> Characteristic:
-    """The curve from a triangle of the voltage; ``lag`` [s] of slow motions. Raises ParameterError."""
-    voltage = held(tested.voltage)
-    known = np.flatnonzero(np.isfinite(tested.position))
-    reading = np.interp(np.arange(len(voltage)), known, tested.position[known])
-    strokes, lag = strokes_of(voltage), lag + 0.5 * tested.period
-    found = curve(voltage, reading, strokes, lag, tested.period)
+    """The curve from a triangle of the voltage; ``lag`` [s] of slow motions.
+
+    Raises ParameterError unless there are two strokes in each direction that move the spool to both sides.
+    """
+    t = triangle_of(tested, lag)
+    found = _curve(t)
     half = 0.5 * found.hysteresis.value
     if half < LEAST_SHARED or found.overlap.value < -TOLD_OVERLAP:  # both sides act in an underlap
         return found
-    slope, offset, _ = sliding(voltage, reading, strokes)
-    rest = voltage - (found.static(reading) if found.lopsided else slope * reading + offset)
-    return found._replace(shares=_shares(*turning(rest, reading, strokes, tested.period, slope, lag), half))
+    slope, offset, _ = sliding(t)
+    rest = t.voltage - (found.static(t.reading) if found.lopsided else slope * t.reading + offset)
+    return found._replace(shares=_shares(*turning(t, rest, slope), half))
 
 
 def with_friction(tested: Experiment, lag: float) -> tuple[Friction, Characteristic | None]:
@@ -146,20 +146,12 @@ def with_friction(tested: Experiment, lag: float) -> tuple[Friction, Characteris
     ), found
 
 
-def curve(
-    voltage: Floats, reading: Floats, strokes: Sequence[Stroke], lag: float, period: float
-) -> Characteristic:
-    """The curve from ``strokes`` of ``voltage`` [V] and ``reading`` [V], n; ``lag`` [s] with half a sample.
-
-    Raises ParameterError unless there are two strokes in each direction that move the spool to both sides.
-    """
-    static = [_static(voltage, reading, stroke, lag, period) for stroke in strokes]
-    if min(sum(s[2] == d for s in strokes) for d in (1.0, -1.0)) < 2:
+def _curve(t: Triangle) -> Characteristic:
+    up, down = ([_static(t, one) for one in t.strokes if one.direction == d] for d in (1.0, -1.0))
+    if min(len(up), len(down)) < 2:
         raise ParameterError("the characteristic curve needs two strokes of the voltage in each direction")
-    up = [one for one, stroke in zip(static, strokes, strict=True) if stroke[2] > 0.0]
-    down = [one for one, stroke in zip(static, strokes, strict=True) if stroke[2] < 0.0]
-    low = max(float(np.min(u)) for u, _ in static)
-    high = min(float(np.max(u)) for u, _ in static)
+    low = max(float(np.min(u)) for u, _ in up + down)
+    high = min(float(np.max(u)) for u, _ in up + down)
     grid = np.linspace(low, high, POINTS)
     rising, falling = (np.array([np.interp(grid, *_sorted(u, x)) for u, x in part]) for part in (up, down))
     sides, widths = [], []
@@ -167,12 +159,11 @@ def curve(
         lines = [np.array([_line(u, x, sign) for u, x in part]) for part in (up, down)]
         gain = _mean(np.concatenate([part[:, 0] for part in lines]))
         rises, falls = (_mean(part[:, 1]) for part in lines)
-        noise = math.hypot(rises.bound, falls.bound)
-        edge = Bounded(0.5 * (rises.value + falls.value), 0.5 * noise)
-        widths.append(Bounded(rises.value - falls.value, noise))
+        edge = _middle(rises, falls)
+        widths.append(Bounded(rises.value - falls.value, 2.0 * edge.bound))
         sides.append(Side(gain, edge, _stop(up if sign > 0.0 else down, sign, gain.value)))
     positive, negative = sides
-    unsure = math.hypot(positive.edge.bound, negative.edge.bound)
+    null = _middle(positive.edge, negative.edge)
     return Characteristic(
         voltage=grid,
         rising=np.mean(rising, axis=0),
@@ -181,13 +172,15 @@ def curve(
         falling_bound=_bound(falling),
         positive=positive,
         negative=negative,
-        overlap=Bounded(positive.edge.value - negative.edge.value, unsure),
-        null=Bounded(0.5 * (positive.edge.value + negative.edge.value), 0.5 * unsure),
-        hysteresis=Bounded(
-            0.5 * (widths[0].value + widths[1].value), 0.5 * math.hypot(*(w.bound for w in widths))
-        ),
-        strokes=len(strokes),
+        overlap=Bounded(positive.edge.value - negative.edge.value, 2.0 * null.bound),
+        null=null,
+        hysteresis=_middle(*widths),
+        strokes=len(t.strokes),
     )
+
+
+def _middle(one: Bounded, other: Bounded) -> Bounded:
+    return Bounded(0.5 * (one.value + other.value), 0.5 * math.hypot(one.bound, other.bound))
 
 
 def _shares(x: Floats, w: Floats, noise: float, half: float) -> Shares | None:
@@ -204,7 +197,7 @@ def _shares(x: Floats, w: Floats, noise: float, half: float) -> Shares | None:
     if np.count_nonzero(seen) < LEAST_POINTS:
         return None
     way, rest = way[seen], rest[seen]
-    made = [
+    searches = [
         scipy.optimize.least_squares(
             lambda p: rest - 2.0 * p[0] * np.exp(-way / p[1]),
             [0.5 * half, delta],
@@ -214,22 +207,20 @@ def _shares(x: Floats, w: Floats, noise: float, half: float) -> Shares | None:
         )
         for delta in BEGUN
     ]
-    level, delta = min(made, key=lambda one: one.cost).x
+    level, delta = (float(v) for v in min(searches, key=lambda one: one.cost).x)
     left = rest - 2.0 * level * np.exp(-way / delta)
     bent = float(np.sqrt(np.mean(left**2))) > max(BENT * half, BENT_LEAST)
     if bent and delta > HARDLY * PRESLIDING[0]:
         return None
-    return Shares(max(0.0, half - float(level)), min(half, float(level)), float(delta))
+    return Shares(max(0.0, half - level), min(half, level), delta)
 
 
-def _static(
-    voltage: Floats, reading: Floats, stroke: Stroke, lag: float, period: float
-) -> tuple[Floats, Floats]:
+def _static(t: Triangle, stroke: Stroke) -> tuple[Floats, Floats]:
     """Voltage [V] that the spool answers at each sample of a stroke, and the reading [V]."""
     first, length, direction = stroke
-    u, x = voltage[first : first + length], reading[first : first + length]
-    rate = abs(float(u[-1] - u[0])) / (period * max(1, length - 1))
-    return u - direction * rate * lag, x
+    u, x = t.voltage[first : first + length], t.reading[first : first + length]
+    rate = abs(float(u[-1] - u[0])) / (t.period * max(1, length - 1))
+    return u - direction * rate * t.lag, x
 
 
 def _sorted(u: Floats, x: Floats) -> tuple[Floats, Floats]:
@@ -273,11 +264,11 @@ def _bound(rows: Floats) -> Floats:
     return width
 
 
-def notes(found: Characteristic, u_max: float) -> list[str]:
-    """What the curve has beside one gain, and what readings do not tell of its null, as sentences."""
-    made = []
+def notes(found: Characteristic) -> list[str]:
+    """What the curve has beside one gain and friction, as sentences."""
+    sentences = []
     if found.lopsided:
-        made.append(
+        sentences.append(
             f"the curve has an overlap of {found.overlap.value:.3g} ± {found.overlap.bound:.2g} V and gains "
             f"of {found.positive.gain.value:.4g} and {found.negative.gain.value:.4g} V/V above and below; "
             "the model has one gain and no overlap"
@@ -285,18 +276,11 @@ def notes(found: Characteristic, u_max: float) -> list[str]:
     if found.shares is not None and found.shares.play > TOLD_PLAY:
         unseen = found.shares.presliding <= HARDLY * PRESLIDING[0]
         either = ", or friction without presliding, which looks the same" if unseen else ""
-        made.append(
+        sentences.append(
             f"{found.shares.play:.2g} V of the friction are play (hysteresis of the magnet){either}: "
-            "the spool stands still after a turn of the voltage; "
             "the model has no play and takes both for friction"
         )
-    if abs(found.null.value) > max(TOLD_NULL * u_max, found.null.bound):
-        made.append(
-            f"the null is at {found.null.value:.3g} ± {found.null.bound:.2g} V, "
-            f"{100.0 * abs(found.null.value) / u_max:.2g} % of u_max; a bias of the LVDT moves it too, and "
-            "no reading shows that: look at the edges or the flow at command 0"
-        )
-    return made
+    return sentences
 
 
 def parameters(found: Characteristic, gain: float, u_max: float) -> Values:
@@ -339,80 +323,48 @@ def parameters(found: Characteristic, gain: float, u_max: float) -> Values:
 
 def text(found: Characteristic) -> str:
     """The curve in a few lines for the terminal."""
-
-    def bounded(one: Bounded, unit: str) -> str:
-        return f"{one.value:.4g} ± {one.bound:.2g} {unit}"
-
-    stops = [
-        f"{side.stop.value:.3g} V" if side.stop is not None else "not reached"
-        for side in (found.negative, found.positive)
-    ]
-    shared = ""
-    if found.shares is not None:
-        shared = (
-            f"  half of the hysteresis: play {found.shares.play:.3g} V, friction "
-            f"{found.shares.friction:.3g} V with a presliding of {1e3 * found.shares.presliding:.3g} mV"
-        )
-    return "\n".join(
-        [
-            f"characteristic: gain {bounded(found.positive.gain, 'V/V')} above, "
-            f"{bounded(found.negative.gain, 'V/V')} below ({found.strokes} strokes)",
-            f"  overlap {bounded(found.overlap, 'V')}, null {bounded(found.null, 'V')}, hysteresis "
-            f"{bounded(found.hysteresis, 'V')}",
-            f"  stops: {stops[0]} below, {stops[1]} above",
-            *([] if found.shares is None else [shared]),
-        ]
+    above, below, overlap, null, hysteresis = (
+        f"{one.value:.4g} ± {one.bound:.2g} V"
+        for one in (found.positive.gain, found.negative.gain, found.overlap, found.null, found.hysteresis)
     )
+    low, high = (
+        "not reached" if side.stop is None else f"{side.stop.value:.3g} V"
+        for side in (found.negative, found.positive)
+    )
+    lines = [
+        f"characteristic: gain {above}/V above, {below}/V below ({found.strokes} strokes)",
+        f"  overlap {overlap}, null {null}, hysteresis {hysteresis}",
+        f"  stops: {low} below, {high} above",
+    ]
+    if found.shares is not None:
+        play, friction, presliding = found.shares
+        lines.append(
+            f"  half of the hysteresis: play {play:.3g} V, friction {friction:.3g} V with a presliding of "
+            f"{1e3 * presliding:.3g} mV"
+        )
+    return "\n".join(lines)
 
 
 def as_dict(found: Characteristic) -> dict[str, Any]:
     """For JSON."""
 
-    def bounded(one: Bounded | None) -> dict[str, float] | None:
-        return None if one is None else one._asdict()
+    def plain(value: Any) -> Any:
+        if isinstance(value, (Bounded, Side, Shares)):
+            return {name: plain(part) for name, part in value._asdict().items()}
+        return value.tolist() if isinstance(value, np.ndarray) else value
 
-    def side(one: Side) -> dict[str, Any]:
-        return {name: bounded(value) for name, value in one._asdict().items()}
-
-    return {
-        "positive": side(found.positive),
-        "negative": side(found.negative),
-        **{name: bounded(getattr(found, name)) for name in ("overlap", "null", "hysteresis")},
-        "strokes": found.strokes,
-        "half_of_hysteresis": None if found.shares is None else found.shares._asdict(),
-        **{name: getattr(found, name).tolist() for name in COLUMNS},
-    }
+    whole = {name: plain(value) for name, value in found._asdict().items()}
+    return {"half_of_hysteresis": whole.pop("shares"), **whole}
 
 
-COLUMNS = ("voltage", "rising", "falling", "rising_bound", "falling_bound")
-
-
-def csv_text(found: Characteristic) -> str:
-    """The curve as CSV, one row a voltage; all in V."""
-    rows = zip(*(getattr(found, name) for name in COLUMNS), strict=True)
-    lines = [",".join(f"{name}_v" for name in COLUMNS)]
-    lines += [",".join(f"{value:.10g}" for value in row) for row in rows]
-    return "\n".join(lines) + "\n"
-
-
-def figure(found: Characteristic, path: str) -> bytes:
-    """Draw both directions with their bounds and the two gains, as the file ``path``."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    drawn, axes = plt.subplots(figsize=(7.0, 5.0))
-    for name, colour in (("rising", COLOURS[0]), ("falling", COLOURS[1])):
-        middle, bound = getattr(found, name), getattr(found, f"{name}_bound")
-        axes.plot(found.voltage, middle, color=colour, label=f"{name} voltage")
-        axes.fill_between(found.voltage, middle - bound, middle + bound, color=colour, alpha=0.3, lw=0.0)
+def draw(found: Characteristic, path: str) -> None:
+    """Draw both directions and the lines of both sides, as the file ``path``. Raises OSError."""
+    lines = [
+        Line("rising voltage", found.voltage, found.rising),
+        Line("falling voltage", found.voltage, found.falling),
+    ]
     for side, end in ((found.positive, found.voltage[-1]), (found.negative, found.voltage[0])):
         at = np.array([side.edge.value, end])
-        axes.plot(at, side.gain.value * (at - side.edge.value), color="black", ls="--", lw=1.0)
-    axes.set_xlabel("voltage [V]")
-    axes.set_ylabel("position [V]")
-    axes.grid(True, alpha=0.4)
-    axes.legend(loc="upper left")
-    drawn.tight_layout()
-    return outputs.figure_bytes(drawn, path)
+        label = f"{side.gain.value:.3g} V/V from {side.edge.value:.3g} V on"
+        lines.append(Line(label, at, side.gain.value * (at - side.edge.value), "black", True))
+    draw_plots([Path(path)], [Plot("position [V]", lines)], "voltage [V]", "characteristic curve")

@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from valve_control.control.analysis.timing import Spread
-from valve_control.parameter import ParameterError, Values
+from valve_control.parameter import ParameterError
 
 LONGEST = 1.0  # s
 
@@ -38,30 +38,17 @@ def divided(total: float, sensor: float) -> DeadTime:
     return DeadTime(behind, total - behind)
 
 
-def of_dcarc(total: float, sensor: float) -> Values:
-    """Parameters of dcarc for a ``total`` dead time [s], of which the ``sensor`` [s] has its own."""
-    own = divided(total, sensor)
-    return {"dcarc.delay": own.sensor, "dcarc.actuator_delay": own.actuator}
-
-
 def notes(total: float, sensor: float) -> list[str]:
-    """Where a ``total`` dead time [s] is counted, and the error that a wrong choice makes, as sentences."""
-    made = []
-    if sensor > total:
-        made.append(
-            f"the response shows {1e3 * total:.3g} ms of dead time in all, less than the "
-            f"{1e3 * sensor:.3g} ms that --sensor-delay gives the sensor"
-        )
+    """Where a ``total`` dead time [s] is counted, and the error that a wrong choice makes, as a sentence."""
     own = divided(total, sensor)
     if own.actuator <= 0.0:
-        return made
+        return []
     late = f"{1e3 * own.actuator:.3g} ms"
-    made.append(
+    return [
         f"{late} of dead time count as the actuator's (--sensor-delay says how much is the sensor's): "
         "readings alone do not tell the two apart, and where the choice is wrong the true spool stands off "
         f"by its velocity times {late}"
-    )
-    return made
+    ]
 
 
 def way_notes(way: Spread) -> list[str]:

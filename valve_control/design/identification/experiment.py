@@ -15,9 +15,9 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND, CONTROLLER
 from valve_control.control.simulation import offline
 from valve_control.design.identification import response
-from valve_control.design.identification.rational import Fit, measured_corners
+from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response, Segment
-from valve_control.parameter import ParameterError, Values, number, updated
+from valve_control.parameter import ParameterError, Values, defaults, number, updated
 
 DEFAULTS = {"scenario": "stepped_sine", "frequency": 0.5, "end_frequency": 100.0, "sweep_time": 60.0}
 ROOM = 0.4  # times the sampling frequency, above which no frequency is tried unasked
@@ -74,49 +74,36 @@ def simulated(controller: Values, valve: Values, command: Values, motion: Floats
         whole = response.segments_of(scenarios.steps_of(shape), period, shape.start)
         segments = tuple(s._replace(end=min(len(motion), s.end)) for s in whole)
     u_max = number(open_loop, "u_max")
-    largest = float(np.max(np.abs(motion)))
-    if largest >= u_max:
-        raise ParameterError(
-            f"the test reaches {largest:g} V and would saturate at u_max, {u_max:g} V; "
-            "choose a smaller amplitude"
-        )
     with np.errstate(over="ignore", invalid="ignore"):
         run = offline.simulate(open_loop, valve, motion, alone=True)
     model = build.valve_model(valve)  # to whose input flow force feeds the position back
     poles = np.roots(np.polyadd(model.denominator, number(valve, "flow_force") * np.array(model.numerator)))
-    slow = np.any(poles.real >= -1e-9 * np.abs(poles))
-    if slow or not np.all(np.abs(run.measurement) <= DIVERGED * u_max):
+    if np.any(poles.real >= -1e-9 * np.abs(poles)) or not np.all(np.abs(run.measurement) <= DIVERGED * u_max):
         raise ParameterError(
             "the position runs away: the valve is unstable and has no frequency response without feedback"
         )
-    source = f"{command['scenario']}, up to {largest:.3g} V, {len(motion) * period:.4g} s"
-    return Experiment(
-        f"simulated valve ({source})", period, run.voltage, run.measurement, segments, u_max, ()
-    )
+    source = f"{command['scenario']}, up to {np.max(np.abs(motion)):.3g} V, {len(motion) * period:.4g} s"
+    source = f"simulated valve ({source})"
+    return Experiment(source, period, run.voltage, run.measurement, segments, u_max, ())
 
 
-def test_values(given: dict[str, object], period: float) -> Values:
-    """Values of the command source for a test: ``given`` ones, with a duration that holds all of it."""
-    base: dict[str, object] = {**DEFAULTS, "end_frequency": min(100.0, ROOM / period)}
-    values = {p.name: p.default for p in COMMAND}
-    values = updated(COMMAND, values, {**base, "duration": 1e6, **given})
-    start = number(values, "start")
-    if "duration" in given:
-        needed, duration = start + number(values, "sweep_time"), number(values, "duration")
-        if values["scenario"] == "sweep" and duration < needed:
-            raise ParameterError(f"duration is {duration:g} s; the sweep takes {needed:.4g} s (sweep_time)")
+def test_values(changes: dict[str, object], period: float) -> Values:
+    """Values of the command source for a test with ``changes``, and a duration that holds all of it."""
+    base = {**DEFAULTS, "end_frequency": min(100.0, ROOM / period), "duration": 1e6}
+    values = updated(COMMAND, defaults(COMMAND), {**base, **changes})
+    if "duration" in changes:
         return values
+    length = 60.0
     if values["scenario"] == "stepped_sine":
         length = scenarios.steps_of(build.shape(values))[-1].end
     elif values["scenario"] == "sweep":
         length = number(values, "sweep_time")
     elif values["scenario"] == "triangle":
         length = number(values, "cycles") / number(values, "frequency")
-    else:
-        length = 60.0
-    if start + length > LONGEST * period:
-        raise ParameterError(f"the test takes {start + length:.4g} s, which is more than {LONGEST} samples")
-    return updated(COMMAND, values, {"duration": start + length})
+    duration = number(values, "start") + length
+    if duration > LONGEST * period:
+        raise ParameterError(f"the test takes {duration:.4g} s, which is more than {LONGEST} samples")
+    return updated(COMMAND, values, {"duration": duration})
 
 
 def held(signal: Floats) -> Floats:
@@ -127,7 +114,30 @@ def held(signal: Floats) -> Floats:
 
 def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | None) -> Response:
     """Frequency response of the valve in an experiment; ``band`` [Hz] limits it. Raises ParameterError."""
-    measured = _estimate(experiment, settle, band)
+    voltage, position, period = held(experiment.voltage), experiment.position, experiment.period
+    begin = int(np.argmax(np.isfinite(voltage)))  # readings before the first voltage tell nothing
+    voltage, position = voltage[begin:], position[begin:]
+    at_limit = int(np.count_nonzero(np.abs(voltage) >= experiment.u_max * (1.0 - 1e-12)))
+    if at_limit:  # what then drove the valve is unknown
+        raise ParameterError(
+            f"the voltage is at its limit of {experiment.u_max:g} V in {at_limit} of {len(voltage)} samples; "
+            "choose a smaller amplitude"
+        )
+    if not np.any(np.abs(voltage - voltage[0]) > STILL):
+        raise ParameterError("the voltage does not move, so there is no excitation")
+    whole = (0.0, math.inf) if experiment.segments else (0.5, min(100.0, ROOM / period))
+    low, high = band or whole
+    if experiment.segments:
+        segments = [s for s in experiment.segments if low <= s.frequency <= high]
+        if not segments:
+            raise ParameterError(f"no frequency of the test lies between {low:g} and {high:g} Hz")
+        measured = response.stepped(experiment.voltage, experiment.position, segments, period, settle)
+    else:
+        known = np.flatnonzero(np.isfinite(position))
+        if not len(known):
+            raise ParameterError("no reading came after the first voltage")
+        position = np.interp(np.arange(len(voltage)), known, position[known])
+        measured = response.spectral(voltage, position, period, low, high)
     largest = float(np.max(np.abs(measured.value)))
     if largest < STUCK:
         raise ParameterError(
@@ -148,8 +158,8 @@ def coherence_notes(measured: Response) -> list[str]:
     weak = np.flatnonzero(measured.coherence < INCOHERENT)
     if len(weak) == 0:
         return []
-    worst = sorted(weak, key=lambda i: float(measured.coherence[i]))[:NAMED]
-    named = ", ".join(f"{measured.frequency[i]:.3g} Hz ({measured.coherence[i]:.3f})" for i in sorted(worst))
+    worst = sorted(weak[np.argsort(measured.coherence[weak], kind="stable")[:NAMED]])
+    named = ", ".join(f"{measured.frequency[i]:.3g} Hz ({measured.coherence[i]:.3f})" for i in worst)
     more = f" and {len(weak) - len(worst)} more" if len(weak) > len(worst) else ""
     return [
         f"coherence below {INCOHERENT:g} at {named}{more}: noise, friction or another motion makes more than "
@@ -158,24 +168,16 @@ def coherence_notes(measured: Response) -> list[str]:
     ]
 
 
-def range_notes(measured: Response, second: Fit, best: Fit) -> list[str]:
-    """Limits of the result by the sample period and the range of the frequencies, as sentences."""
-    made = []
-    highest, most = float(measured.frequency[-1]), ROOM / measured.period
-    if measured_corners(measured, best.model.static_gain).minus_3db is None and highest < 0.9 * most:
-        made.append(
-            f"no -3 dB up to {highest:.4g} Hz: the valve goes further than the test; "
-            f"an end_frequency of {min(most, 10.0 * highest):.4g} Hz tells more"
-        )
+def period_notes(period: float, second: Fit) -> list[str]:
+    """A sentence if the sample ``period`` [s] is too long for the valve of the ``second`` order."""
     natural = math.sqrt(max(0.0, second.model.denominator[-1])) / (2.0 * math.pi)
-    if natural * measured.period * SAMPLES > 1.0:
-        made.append(
-            f"the sample period of {1e3 * measured.period:.4g} ms is too long for this valve, which has "
-            f"{1.0 / (natural * measured.period):.2g} samples in a period of its natural frequency of "
-            f"{natural:.3g} Hz; {1e3 / (SAMPLES * natural):.2g} ms is the longest that its model and gains "
-            "can be relied on with"
-        )
-    return made
+    if natural * period * SAMPLES <= 1.0:
+        return []
+    return [
+        f"the sample period of {1e3 * period:.4g} ms is too long for this valve with its natural frequency "
+        f"of {natural:.3g} Hz; {1e3 / (SAMPLES * natural):.2g} ms is the longest that its model and gains "
+        "can be relied on with"
+    ]
 
 
 def check_travel(experiment: Experiment, static_gain: float) -> None:
@@ -191,24 +193,3 @@ def check_travel(experiment: Experiment, static_gain: float) -> None:
             f"{amplitude:.3g} V moved the spool by {travel:.2g} V alone, which is what friction gives while "
             "it holds a spool; test with a larger amplitude"
         )
-
-
-def _estimate(experiment: Experiment, settle: float, band: tuple[float, float] | None) -> Response:
-    voltage, position = held(experiment.voltage), experiment.position
-    begin = int(np.argmax(np.isfinite(voltage)))  # readings before the first voltage tell nothing
-    voltage, position = voltage[begin:], position[begin:]
-    response.check_saturation(voltage[np.isfinite(voltage)], experiment.u_max)
-    if not np.any(np.abs(voltage - voltage[0]) > STILL):
-        raise ParameterError("the voltage does not move, so there is no excitation")
-    if experiment.segments:
-        segments = [s for s in experiment.segments if band is None or band[0] <= s.frequency <= band[1]]
-        if not segments:
-            raise ParameterError(f"no frequency of the test lies between {band[0]:g} and {band[1]:g} Hz")  # type: ignore[index]
-        return response.stepped(experiment.voltage, experiment.position, segments, experiment.period, settle)
-    low, high = band or (DEFAULTS["frequency"], min(100.0, ROOM / experiment.period))
-    assert isinstance(low, float) and isinstance(high, float)
-    known = np.flatnonzero(np.isfinite(position))
-    if not len(known):
-        raise ParameterError("no reading came after the first voltage")
-    position = np.interp(np.arange(len(voltage)), known, position[known])
-    return response.spectral(voltage, position, experiment.period, low, high)

@@ -9,14 +9,15 @@ sampled loop are inside the unit circle.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from valve_control.control.laws import arc, dcarc, oarc, pid, reshaping
+from valve_control.control.laws import pid, reshaping
 from valve_control.control.laws.dcarc_design import EXCESS, excess, without_fast_zero
-from valve_control.control.laws.law import Law
+from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import stability
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models, valve
@@ -29,7 +30,7 @@ from valve_control.design.identification.lvdt import Lvdt
 from valve_control.design.identification.rational import Fit, check_worth, fit
 from valve_control.design.identification.response import Response
 from valve_control.design.identification.theta import GAINS, SPEEDS, Suggestion
-from valve_control.parameter import ParameterError, Value, Values, defaults, number, numbers, updated
+from valve_control.parameter import ParameterError, Values, defaults, number, numbers, updated
 
 LATER = (0.0, 1.0)  # sample periods of dead time beyond what was identified
 HALVINGS = 6
@@ -39,9 +40,13 @@ FRICTION_TERMS = (
     "dcarc.theta_initial", "dcarc.theta_min", "dcarc.theta_max", "dcarc.theta_spread", "dcarc.presliding",
     "dcarc.fit_noise", "dcarc.forgetting", "dcarc.learning_path",
 )  # fmt: skip
-QUIETEST = (
-    5e-4  # V  noise that is assumed at least: a model is never so exact that readings could be believed
-)
+# Powers of the bandwidth that gains go with. An estimate and the error that it corrects are a loop of second
+# order, s² + k2·s + γ·φ²: γ goes with the square of k2, whatever the size of θ.
+SCALED = {
+    "arc": {"gamma": 2, "k1": 1, "k2": 1},
+    "oarc": {"gamma": 2, "k1": 1, "k2": 2, "ks1": 1, "ks2": 1},
+}
+QUIETEST = 5e-4  # V  noise that is assumed at least: no model is so exact that readings could be believed
 BRISTLES = (1, 2, 3)  # of dcarc's weights
 PRESLIDINGS = (0.4, 1.0, 2.5)  # of the three bristles over the measured one
 CLOSE, LEAST_SPREAD = 0.3, 0.1  # -, V  spread of the weights around the measured friction
@@ -119,37 +124,29 @@ def first(known: KnownValve, around: KnownValve | None = None) -> FirstGains:
     """
     values: Values = {**reshaping.limits(known.model, known.u_max), **reshaping.at_period(known.period)}
     refusals: dict[str, str] = {}
-    makers: tuple[tuple[Law, Callable[[KnownValve, float], Values]], ...] = (
-        (pid.LAW, _pid),
-        (arc.LAW, _arc),
-        (oarc.LAW, _oarc),
-        (dcarc.LAW, dcarc_values),
-    )
     corners = list(_corners(known if around is None else around))
-    for law, make in makers:
+    for law in ("pid", "arc", "oarc", "dcarc"):
         try:
-            values.update(_safe(law, make, known, corners))
+            values.update(_safe(law, known, corners))
         except ParameterError as error:
-            refusals[law.name] = str(error)
+            refusals[law] = str(error)
     return FirstGains(values, refusals)
 
 
-def _safe(
-    law: Law, make: Callable[[KnownValve, float], Values], known: KnownValve, corners: list[valve.Params]
-) -> Values:
+def _safe(law: str, known: KnownValve, corners: list[valve.Params]) -> Values:
     """Parameters of ``law`` with the highest bandwidth that is stable at all ``corners``.
 
     Raises ParameterError.
     """
     base = {**defaults(CONTROLLER), "sample_period": known.period, **reshaping.at_period(known.period)}
-    share = 1.0
-    for _ in range(HALVINGS + 1):
-        made = make(known, share)
-        params = law.build(updated(CONTROLLER, base, made))
-        worst = max(abs(stability.dominant_pole(law, params, plant)) for plant in corners)
-        if worst < 1.0:
-            return made
-        share *= 0.5
+    for share in (0.5**i for i in range(HALVINGS + 1)):
+        if law == "pid":
+            gains = _pid(known, share)
+        else:
+            gains = dcarc_values(known, share) if law == "dcarc" else _adaptive(law, known, share)
+        params = LAWS[law].build(updated(CONTROLLER, base, gains))
+        if all(abs(stability.dominant_pole(LAWS[law], params, plant)) < 1.0 for plant in corners):
+            return gains
     raise ParameterError(
         f"none were found that are stable with {GAINS[0]:g} to {GAINS[1]:g} times the gain, {SPEEDS[0]:g} to "
         f"{SPEEDS[1]:g} times the speed and {LATER[1]:g} sample period of dead time more"
@@ -158,12 +155,9 @@ def _safe(
 
 def _corners(known: KnownValve) -> Iterator[valve.Params]:
     """The identified valve, and the corners of the box around it."""
-    for gain, speed, later in [
-        (1.0, 1.0, 0.0),
-        *((g, s, d) for g in GAINS for s in SPEEDS for d in LATER),
-    ]:
+    surplus = len(known.model.denominator) - len(known.model.numerator)
+    for gain, speed, later in [(1.0, 1.0, 0.0), *product(GAINS, SPEEDS, LATER)]:
         denominator = tuple(c * speed**i for i, c in enumerate(known.model.denominator))
-        surplus = len(known.model.denominator) - len(known.model.numerator)
         numerator = tuple(c * speed ** (i + surplus) for i, c in enumerate(known.model.numerator))
         lvdt = IDEAL._replace(delay=known.delay / known.period + later)
         yield valve.design(
@@ -174,9 +168,8 @@ def _corners(known: KnownValve) -> Iterator[valve.Params]:
 def _pid(known: KnownValve, share: float) -> Values:
     """Reference form: three poles of (55) where the valve's are, or what of them needs no negative gain."""
     a1, a0, b0 = known.theta.initial[:3]
-    speed = AHEAD * math.sqrt(a0)
-    kp, ki, kd = pid.place_poles(speed / (2.0 * math.pi), a1, a0, b0)
-    return _plain(
+    kp, ki, kd = pid.place_poles(AHEAD * math.sqrt(a0) / (2.0 * math.pi), a1, a0, b0)
+    return rounded(
         {
             "pid.form": "reference",
             "pid.theta": [a1, a0, b0],
@@ -187,49 +180,18 @@ def _pid(known: KnownValve, share: float) -> Values:
     )
 
 
-def _rates(law: str, share: float) -> list[float]:
-    """Adaptation rates with ``share`` of the bandwidth.
-
-    An estimate and the error that it corrects are a loop of second order, s² + k2·s + γ·φ²: γ goes with the
-    square of k2, whatever the size of θ.
-    """
-    return [share**2 * g for g in numbers(defaults(CONTROLLER), f"{law}.gamma")]
-
-
-def _estimates(law: str, theta: Suggestion) -> Values:
-    return {
-        f"{law}.theta_initial": list(theta.initial),
-        f"{law}.theta_min": list(theta.lower),
-        f"{law}.theta_max": list(theta.upper),
-    }
-
-
-def _arc(known: KnownValve, share: float) -> Values:
-    k1, k2 = (number(defaults(CONTROLLER), f"arc.{name}") for name in ("k1", "k2"))
-    return _plain(
-        {
-            **_estimates("arc", known.theta),
-            "arc.gamma": _rates("arc", share),
-            "arc.k1": share * k1,
-            "arc.k2": share * k2,
-        }
-    )
-
-
-def _oarc(known: KnownValve, share: float) -> Values:
-    """ρ = b0², which puts z2 on the scale of V/s."""
-    k1, k2, ks1, ks2 = (number(defaults(CONTROLLER), f"oarc.{name}") for name in ("k1", "k2", "ks1", "ks2"))
-    return _plain(
-        {
-            **_estimates("oarc", known.theta),
-            "oarc.z2_weight": known.theta.initial[2] ** 2,
-            "oarc.gamma": _rates("oarc", share),
-            "oarc.k1": share * k1,
-            "oarc.k2": share**2 * k2,
-            "oarc.ks1": share * ks1,
-            "oarc.ks2": share * ks2,
-        }
-    )
+def _adaptive(law: str, known: KnownValve, share: float) -> Values:
+    """Estimates, and default gains with a ``share`` of the bandwidth; oarc's ρ = b0² puts z2 on V/s."""
+    values, own = known.theta.parameters(law), defaults(CONTROLLER)
+    if law == "oarc":
+        values["oarc.z2_weight"] = known.theta.initial[2] ** 2
+    for gain, power in SCALED[law].items():
+        name = f"{law}.{gain}"
+        if gain == "gamma":
+            values[name] = [share**power * g for g in numbers(own, name)]
+        else:
+            values[name] = share**power * number(own, name)
+    return rounded(values)
 
 
 def _bristles(friction: Friction) -> Values:
@@ -238,27 +200,21 @@ def _bristles(friction: Friction) -> Values:
     A presliding that was not told leaves those of the bristles as they are.
     """
     own = defaults(CONTROLLER)
-    start = list(numbers(own, "dcarc.theta_initial"))
-    highest = list(numbers(own, "dcarc.theta_max"))
-    spread = list(numbers(own, "dcarc.theta_spread"))
+    names = ("theta_initial", "theta_min", "theta_max", "theta_spread")
+    start, lowest, highest, spread = (list(numbers(own, f"dcarc.{name}")) for name in names)
     start[2] = friction.coulomb
     start[6] = -friction.offset
     for i in BRISTLES:
         highest[i] = max(highest[i], HIGHEST * friction.coulomb)
         spread[i] = max(CLOSE * friction.coulomb, LEAST_SPREAD)
     spread[6] = OFFSET_SPREAD
-    lowest = list(numbers(own, "dcarc.theta_min"))
     lowest[6] = min(lowest[6], start[6] - OFFSET_ROOM)
     highest[6] = max(highest[6], start[6] + OFFSET_ROOM)
-    made: Values = {
-        "dcarc.theta_initial": start,
-        "dcarc.theta_min": lowest,
-        "dcarc.theta_max": highest,
-        "dcarc.theta_spread": spread,
-    }
+    rows = zip(names, (start, lowest, highest, spread), strict=True)
+    values: Values = {f"dcarc.{name}": row for name, row in rows}
     if friction.presliding > 0.0:
-        made["dcarc.presliding"] = [share * friction.presliding for share in PRESLIDINGS]
-    return made
+        values["dcarc.presliding"] = [share * friction.presliding for share in PRESLIDINGS]
+    return values
 
 
 def dcarc_values(known: KnownValve, share: float = 1.0) -> Values:
@@ -272,14 +228,16 @@ def dcarc_values(known: KnownValve, share: float = 1.0) -> Values:
     slower: Values = {}
     if share < 1.0:  # the disturbance's estimate is a part of the loop too
         slower["dcarc.disturbance_rate"] = share**2 * number(own, "dcarc.disturbance_rate")
-    return _plain(
+    behind, before = dead_time.divided(known.delay, known.sensor_delay)
+    return rounded(
         {
             **(_bristles(known.friction) if known.friction is not None else {}),
             **slower,
             "dcarc.model": "custom",
             "dcarc.numerator": list(model.numerator),
             "dcarc.denominator": list(model.denominator),
-            **dead_time.of_dcarc(known.delay, known.sensor_delay),
+            "dcarc.delay": behind,
+            "dcarc.actuator_delay": before,
             "dcarc.lvdt_noise": max(known.lvdt.noise, QUIETEST),
             "dcarc.lvdt_resolution": known.lvdt.resolution,
             "dcarc.voltage_weight": number(own, "dcarc.voltage_weight") * gain**2 / share**2,
@@ -341,12 +299,12 @@ def without_play(rubbing: Friction | None, curve: Characteristic | None) -> Fric
     return rubbing._replace(coulomb=curve.shares.friction, presliding=curve.shares.presliding)
 
 
-def _plain(values: Values) -> Values:
+def rounded(values: Values) -> Values:
     """Ten digits of each number."""
 
-    def short(value: Value) -> Value:
-        if isinstance(value, list):
-            return [float(f"{v:.10g}") if isinstance(v, float) else v for v in value]  # type: ignore[return-value]
+    def short(value: Any) -> Any:
+        if isinstance(value, (list, tuple)):
+            return [short(one) for one in value]
         return float(f"{value:.10g}") if isinstance(value, float) else value
 
     return {name: short(value) for name, value in values.items()}

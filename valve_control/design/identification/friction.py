@@ -8,6 +8,7 @@ bristles turn round: the friction follows the spool's way Δx as F·(1 - c·exp(
 """
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -58,34 +59,62 @@ class Friction(NamedTuple):
     strokes: int  # that it comes from
 
 
+class Stroke(NamedTuple):
+    """One stroke of a triangle."""
+
+    first: int
+    length: int  # samples
+    direction: float  # 1.0 or -1.0
+
+
+class Triangle(NamedTuple):
+    """A slow triangle of the voltage."""
+
+    voltage: Floats  # V
+    reading: Floats  # V
+    strokes: list[Stroke]  # whole ones of one length; not the first: bristles before it began at rest
+    lag: float  # s  of slow motions behind the held voltage
+    period: float  # s
+
+    @property
+    def length(self) -> int:
+        """Samples of a stroke."""
+        return self.strokes[0].length
+
+
 def lag_of(model: TransferFunction, delay: float) -> float:
     """Time [s] by which slow motions lag behind the voltage, with a dead time ``delay`` [s]."""
     n, d = model.numerator, model.denominator
     return d[-2] / d[-1] - (n[-2] / n[-1] if len(n) > 1 else 0.0) + delay
 
 
-def strokes_of(voltage: Floats) -> list[tuple[int, int, float]]:
-    """Whole strokes of a triangle: first sample, number of samples, direction 1.0 or -1.0.
+def triangle_of(tested: Experiment, lag: float) -> Triangle:
+    """The triangle of a test; ``lag`` [s]: see ``lag_of``. Raises ParameterError for another voltage."""
+    voltage = held(tested.voltage)
+    known = np.flatnonzero(np.isfinite(tested.position))
+    if len(known) < 2 or not np.all(np.isfinite(voltage)):
+        raise ParameterError("the friction test begins without voltages, or has no readings")
+    if float(np.max(np.abs(voltage))) >= tested.u_max:
+        raise ParameterError(f"the voltage of the friction test saturates at u_max, {tested.u_max:g} V")
+    reading = np.interp(np.arange(len(voltage)), known, tested.position[known])
+    return Triangle(voltage, reading, _strokes(voltage), lag + 0.5 * tested.period, tested.period)
 
-    All have the length of the shortest. The first one is left out: the bristles before it began at rest.
-    Raises ParameterError.
-    """
+
+def _strokes(voltage: Floats) -> list[Stroke]:
     steps = np.diff(voltage)
     moving = np.flatnonzero(steps != 0.0)
     directions = np.sign(steps[moving])
     turns = [0, *(np.flatnonzero(np.diff(directions) != 0.0) + 1), len(moving)]
-    found = []
-    for a, b in zip(turns[:-1], turns[1:], strict=True):
-        if b > a:
-            found.append((int(moving[a]), int(moving[b - 1]) + 1 - int(moving[a]), float(directions[a])))
-    travel = float(np.ptp(voltage)) if len(voltage) else 0.0
-    whole = [s for s in found if abs(voltage[s[0] + s[1]] - voltage[s[0]]) > WHOLE * travel]
-    lengths = [n for _, n, _ in whole]
+    travel, whole = float(np.ptp(voltage)), []
+    for a, b in pairwise(turns if len(moving) else []):
+        first, end = int(moving[a]), int(moving[b - 1]) + 1
+        if abs(voltage[end] - voltage[first]) > WHOLE * travel:
+            whole.append(Stroke(first, end - first, float(directions[a])))
+    lengths = [stroke.length for stroke in whole]
     if len(whole) <= LEAST_STROKES or max(lengths) - min(lengths) > 1.0 + EQUAL * max(lengths):
         raise ParameterError(
-            f"the voltage of the friction test has {len(whole)} whole strokes"
-            + ("" if len(whole) <= LEAST_STROKES else f" of {min(lengths)} to {max(lengths)} samples")
-            + f"; it must be a triangle with more than {LEAST_STROKES} equal ones"
+            f"the friction test has {len(whole)} whole strokes; its voltage must be a triangle with more "
+            f"than {LEAST_STROKES} equal ones"
         )
     for first, length, _ in whole:
         line = np.linspace(voltage[first], voltage[first + length], length + 1)
@@ -95,35 +124,25 @@ def strokes_of(voltage: Floats) -> list[tuple[int, int, float]]:
                 f"the voltage of the friction test is up to {bent:.2g} V beside straight lines; it must be a "
                 "triangle"
             )
-    return [(first, min(lengths), direction) for first, _, direction in whole[1:]]
+    return [stroke._replace(length=min(lengths)) for stroke in whole[1:]]
 
 
 def friction(tested: Experiment, lag: float) -> Friction:
     """Friction from a triangle of the voltage; ``lag`` [s]: see ``lag_of``. Raises ParameterError."""
-    voltage = held(tested.voltage)
-    known = np.flatnonzero(np.isfinite(tested.position))
-    if len(known) < 2 or not np.all(np.isfinite(voltage)):
-        raise ParameterError("the friction test begins without voltages, or has no readings")
-    reading = np.interp(np.arange(len(voltage)), known, tested.position[known])
-    if float(np.max(np.abs(voltage))) >= tested.u_max:
-        raise ParameterError(f"the voltage of the friction test saturates at u_max, {tested.u_max:g} V")
-    strokes = strokes_of(voltage)
-    length = strokes[0][1]
-    lag += 0.5 * tested.period  # the voltage is held
-    if STEADY[0] * length * tested.period < SLOWEST * lag:
+    t = triangle_of(tested, lag)
+    if STEADY[0] * t.length * t.period < SLOWEST * t.lag:
         raise ParameterError(
-            f"a stroke of the friction test takes {length * tested.period:.3g} s; on this valve it must take "
-            f"{SLOWEST * lag / STEADY[0]:.3g} s or more"
+            f"a stroke of the friction test takes {t.length * t.period:.3g} s; on this valve it must take "
+            f"{SLOWEST * t.lag / STEADY[0]:.3g} s or more"
         )
-    slope, offset, beyond = sliding(voltage, reading, strokes)
-    speed = abs(voltage[strokes[0][0] + length] - voltage[strokes[0][0]]) / (length * tested.period) / slope
-    coulomb = max(0.0, beyond - slope * lag * speed)
+    slope, offset, beyond = sliding(t)
+    first = t.strokes[0].first
+    speed = abs(t.voltage[first + t.length] - t.voltage[first]) / (t.length * t.period) / slope
+    coulomb = max(0.0, beyond - slope * t.lag * speed)
     presliding = 0.0
     if coulomb >= LEAST_FRICTION:
-        presliding = _presliding(
-            *turning(voltage - slope * reading - offset, reading, strokes, tested.period, slope, lag), coulomb
-        )
-    return Friction(coulomb, presliding, 1.0 / slope, -offset, len(strokes))
+        presliding = _presliding(*turning(t, t.voltage - slope * t.reading - offset, slope), coulomb)
+    return Friction(coulomb, presliding, 1.0 / slope, -offset, len(t.strokes))
 
 
 def without(tested: Experiment, found: Friction, play: float = 0.0, coil: float = 0.0) -> Experiment:
@@ -131,10 +150,8 @@ def without(tested: Experiment, found: Friction, play: float = 0.0, coil: float 
 
     The friction is that of a bristle which the harmonics of the position drag. ``found`` without a
     presliding has one of PRESLIDING's lower bound. The ``play`` [V], half a hysteresis, is that of the
-    force, which lags behind the voltage by the ``coil`` [s]. Raises ParameterError.
+    force, which lags behind the voltage by the ``coil`` [s].
     """
-    if not tested.segments:
-        raise ParameterError("friction is taken off a stepped sine alone")
     delta = found.presliding if found.presliding > 0.0 else PRESLIDING[0]
     voltage = tested.voltage.copy()
     for segment in tested.segments:
@@ -215,46 +232,36 @@ def _dragged(position: Floats, delta: float) -> Floats:
     return found
 
 
-def sliding(
-    voltage: Floats, reading: Floats, strokes: list[tuple[int, int, float]]
-) -> tuple[float, float, float]:
+def sliding(t: Triangle) -> tuple[float, float, float]:
     """1/G [V/V], offset [V] and what the direction adds [V], from the steady part of all strokes."""
     rows, wanted = [], []
-    for first, length, direction in strokes:
+    for first, length, direction in t.strokes:
         part = slice(first + round(STEADY[0] * length), first + round(STEADY[1] * length))
-        x = reading[part]
+        x = t.reading[part]
         rows.append(np.column_stack([x, np.ones(len(x)), np.full(len(x), direction)]))
-        wanted.append(voltage[part])
+        wanted.append(t.voltage[part])
     slope, offset, beyond = np.linalg.lstsq(np.concatenate(rows), np.concatenate(wanted), rcond=None)[0]
     if not slope > 0.0:
         raise ParameterError("the spool of the friction test does not follow the voltage")
     return float(slope), float(offset), float(beyond)
 
 
-def turning(
-    rest: Floats,
-    reading: Floats,
-    strokes: list[tuple[int, int, float]],
-    period: float,
-    slope: float,
-    lag: float,
-) -> tuple[Floats, Floats, float]:
+def turning(t: Triangle, rest: Floats, slope: float) -> tuple[Floats, Floats, float]:
     """Mean position [V] and friction [V] of all strokes, turned to rise, and the position's noise.
 
     ``rest`` [V]: voltage minus the voltage that the position needs; ``slope``: 1/G [V/V].
     """
-    size = max(1, round(WINDOW / period))
-    count = strokes[0][1] // size
-    x = np.zeros(count)
-    w = np.zeros(count)
-    for first, _, direction in strokes:
+    size = max(1, round(WINDOW / t.period))
+    count = t.length // size
+    x, w = np.zeros(count), np.zeros(count)
+    for first, _, direction in t.strokes:
         part = slice(first, first + count * size)
-        x += direction * reading[part].reshape(count, size).mean(axis=1) / len(strokes)
-        w += direction * rest[part].reshape(count, size).mean(axis=1) / len(strokes)
-    velocity = np.gradient(x, size * period)
+        x += direction * t.reading[part].reshape(count, size).mean(axis=1) / len(t.strokes)
+        w += direction * rest[part].reshape(count, size).mean(axis=1) / len(t.strokes)
+    velocity = np.gradient(x, size * t.period)
     velocity = np.convolve(np.pad(velocity, SMOOTH // 2, mode="edge"), np.full(SMOOTH, 1.0 / SMOOTH), "valid")
     noise = float(np.std(np.diff(x[-count // 4 :], 2))) / math.sqrt(6.0)
-    return x, w - slope * lag * velocity, noise
+    return x, w - slope * t.lag * velocity, noise
 
 
 def _presliding(x: Floats, w: Floats, noise: float, coulomb: float) -> float:
@@ -278,9 +285,6 @@ def _presliding(x: Floats, w: Floats, noise: float, coulomb: float) -> float:
         part, wanted = left / deviation, (coulomb - w) / deviation
         return wanted - (part @ wanted) / (part @ part) * part, deviation
 
-    def misfit(delta: float) -> float:
-        return math.sqrt(float(np.mean(weighed(delta)[0] ** 2)))
-
     def cost(logarithm: float) -> float:
         left, deviation = weighed(math.exp(logarithm))
         return float(np.sum(left**2) + 2.0 * np.sum(np.log(deviation)))
@@ -290,6 +294,6 @@ def _presliding(x: Floats, w: Floats, noise: float, coulomb: float) -> float:
     if best in (0, len(grid) - 1):
         return 0.0
     found = scipy.optimize.minimize_scalar(cost, bounds=(grid[best - 1], grid[best + 1]), method="bounded")
-    if misfit(delta := math.exp(float(found.x))) > MISFIT:
-        return 0.0
-    return delta
+    delta = math.exp(float(found.x))
+    misfit = math.sqrt(float(np.mean(weighed(delta)[0] ** 2)))
+    return delta if misfit <= MISFIT else 0.0

@@ -64,7 +64,7 @@ def identified(
             f"{tested.period:g} s; they must agree"
         )
     whole = measured = experiment.estimate(tested, request.settle, request.band)
-    fits, notes = _fits(request, tested, measured)
+    fits = _fits(request, tested, measured)
     tell()
     rubbing, curve = None, None
     for _ in range(0 if triangle is None else ROUNDS):
@@ -74,9 +74,9 @@ def identified(
         slipping, played = _slipping(tested, rubbing, curve, measured) if tested.segments else (tested, False)
         measured = experiment.estimate(slipping, request.settle, request.band)
         measured = friction.unsure(measured, whole) if played else measured
-        fits, notes = _fits(request, tested, measured)
+        fits = _fits(request, tested, measured)
         tell()
-    return _with_gains(request, tested, measured, fits, notes, rubbing, curve)
+    return _with_gains(request, tested, measured, fits, rubbing, curve)
 
 
 def _slipping(
@@ -97,99 +97,79 @@ def _slipping(
     return friction.without(tested, apart, curve.shares.play, 0.0 if magnet is None else magnet.coil), True
 
 
-def _fits(request: Request, tested: Experiment, measured: Response) -> tuple[list[Fit], list[str]]:
-    """The second order for the estimates, then the model that stands for the valve if it is another; notes.
+def _fits(request: Request, tested: Experiment, measured: Response) -> tuple[Fit, ...]:
+    """The second order for the estimates, then the model that stands for the valve if it is another.
 
     Without an order the response chooses. A second order that misses it then has a dead time too.
     """
-    try:
-        second = _second(tested, measured, request.delayed)
-    except ParameterError as error:
-        if request.order is not None or request.delayed:
-            raise
+    refusals: list[ParameterError] = []
+    for delayed in (request.delayed,) if request.delayed or request.order is not None else (False, True):
         try:
-            second = _second(tested, measured, True)
-        except ParameterError:
-            raise error from None
-    if request.order is None:
-        chosen, note = structure.beside(measured, second, request.delayed)
-        return ([second], [note]) if chosen is None else ([second, chosen], [])
-    if request.order == 2:
-        return [second], []
-    higher = rational.fit(measured, request.order, delayed=request.delayed)
-    rational.check_worth(higher)
-    return [second, higher], []
-
-
-def _second(tested: Experiment, measured: Response, delayed: bool) -> Fit:
-    """The second order. Raises ParameterError if it says nothing of the valve."""
-    try:
-        second = rational.fit(measured, 2, delayed=delayed)
-        experiment.check_travel(tested, second.model.static_gain)
-        rational.check_worth(second)
-    except ParameterError as error:
+            second = rational.fit(measured, 2, delayed=delayed)
+            experiment.check_travel(tested, second.model.static_gain)
+            rational.check_worth(second)
+            break
+        except ParameterError as error:
+            refusals.append(error)
+    else:
         if not tested.feedback:
-            raise
+            raise refusals[0]
         raise ParameterError(
             f"{tested.source} was recorded in closed loop ({tested.feedback}), which does not show the valve "
-            f"alone: {error}; record a stepped sine or sweep with controller open_loop"
-        ) from error
-    return second
+            f"alone: {refusals[0]}; record a stepped sine or sweep with controller open_loop"
+        ) from refusals[0]
+    if request.order is not None:
+        best = (
+            second if request.order == 2 else rational.fit(measured, request.order, delayed=request.delayed)
+        )
+        rational.check_worth(best)
+    elif second.model_error == 0.0:  # noise alone explains what is left
+        best = second
+    else:
+        best = structure.choose(measured, request.delayed)
+    return (second,) if best.names == second.names else (second, best)
 
 
 def _with_gains(
     request: Request,
     tested: Experiment,
     measured: Response,
-    fits: list[Fit],
-    notes: list[str],
+    fits: tuple[Fit, ...],
     rubbing: Friction | None,
     curve: Characteristic | None,
 ) -> Identification:
     """The valve with its first gains, and notes on what the tests do not show."""
     second, best = fits[0], fits[-1]
-    estimates = theta.suggest(measured, second, best, tested.u_max)
-    readings = lvdt.observe(tested.position)
-    model, delay, late = first_gains.with_dead_time(measured, best)
-    gains = first_gains.first(
-        first_gains.KnownValve(
-            model=model,
-            delay=delay,
-            theta=estimates,
-            lvdt=readings,
-            period=measured.period,
-            u_max=tested.u_max,
-            friction=first_gains.without_play(rubbing, curve),
-            sensor_delay=request.sensor_delay,
-            magnet=first_gains.magnet_of(model, curve),
-        )
-    )
-    biased = [
-        f"the voltage came from {tested.feedback}, which feeds noise of the reading back: the response is "
-        "biased"
-    ]
-    vague = ["no 95 % bounds where fits miss more than noise: a stepped sine or a longer test tells more"]
-    return Identification(
-        source=tested.source,
-        measured=measured,
-        fits=tuple(fits),
-        theta=estimates,
-        lvdt=readings,
-        gains=gains.values,
+    known = first_gains.KnownValve(
+        model=best.model,
+        delay=best.delay,
+        theta=theta.suggest(measured, second, best, tested.u_max),
+        lvdt=lvdt.observe(tested.position),
+        period=measured.period,
         u_max=tested.u_max,
-        notes=(
-            *(vague if not all(fit.bounded for fit in fits) else ()),
-            *tested.notes,
-            *measured.notes,
-            *notes,
-            *(biased if tested.feedback else ()),
-            *experiment.coherence_notes(measured),
-            *experiment.range_notes(measured, second, best),
-            *(() if curve is None else characteristic.notes(curve, tested.u_max)),
-            *late,
-            *dead_time.notes(delay, request.sensor_delay),
-            *gains.notes,
-        ),
         friction=rubbing,
-        curve=curve,
+        sensor_delay=request.sensor_delay,
     )
+    model, delay, late = first_gains.with_dead_time(measured, best)
+    apart, magnet = first_gains.without_play(rubbing, curve), first_gains.magnet_of(model, curve)
+    gains = first_gains.first(known._replace(model=model, delay=delay, friction=apart, magnet=magnet))
+    notes = [
+        *tested.notes,
+        *measured.notes,
+        *experiment.coherence_notes(measured),
+        *experiment.period_notes(measured.period, second),
+        *([] if curve is None else characteristic.notes(curve)),
+        *late,
+        *dead_time.notes(delay, request.sensor_delay),
+        *gains.notes,
+    ]
+    if tested.feedback:
+        notes.append(
+            f"the voltage came from {tested.feedback}, which feeds noise of the reading back: the response "
+            "is biased"
+        )
+    if not all(fit.bounded for fit in fits):
+        notes.append(
+            "no 95 % bounds where fits miss more than noise: a stepped sine or a longer test tells more"
+        )
+    return Identification(tested.source, known, gains.values, tuple(notes), measured, fits, curve)

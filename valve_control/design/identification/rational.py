@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fits rational transfer functions to a measured response, with confidence bounds.
 
-No library that the package could lean on fits a continuous transfer function to a response: scipy.signal has
-no invfreqs (scipy issue 4497 is open), python-control has none either (its issue 550 points to SLICOT's
-SB10YD, which wants Fortran through slycot and gives a state-space model without uncertainty), and scikit-rf's
-vector fitting leaves the number of zeros open. So: a start after Levy [1] in the iteration of Sanathanan and
-Koerner [2], then maximum likelihood by scipy.optimize.least_squares.
+scipy.signal has no invfreqs (scipy issue 4497), python-control no fit to a response (its issue 550), and the
+vector fitting of scikit-rf leaves the number of zeros open. So: a start after Levy [1] in the iteration of
+Sanathanan and Koerner [2], then maximum likelihood by scipy.optimize.least_squares.
 
 [1] E. C. Levy, Complex-curve fitting, IRE Trans. Automatic Control 4 (1959).
 [2] C. K. Sanathanan, J. Koerner, Transfer function synthesis as a ratio of two complex polynomials, IEEE
@@ -47,7 +45,8 @@ UNSURE = 0.1  # relative uncertainty from which on a frequency tells nothing of 
 UNSTABLE = 3.0  # times the error of unstable poles that stable ones may have
 ROUNDS = 30  # of the start's iteration
 QUICK = (1e-6, 60)  # tolerance and evaluations of a search that tells whether a form is worth more ...
-SHORT_ROUNDS = 2  # ... and its rounds of model error
+SHORT_ROUNDS = 2  # ... and its rounds of model error; those of a fit are ...
+ROUNDS_OF_ERROR = 4
 LEAST_DAMPING = 1e-3
 DELAYS = 40  # tried to begin with, each a tenth of the fastest cycle more
 DELAY_STEP = 0.1
@@ -74,15 +73,20 @@ class Fit(NamedTuple):
 
 
 class _Form(NamedTuple):
-    """Maps unbounded parameters to the coefficients of a stable model."""
+    """A form of a model, and the response that it is fitted to; maps unbounded parameters to a stable one."""
 
     order: int
     zeros: int
     delayed: bool
+    measured: Response
     scale: float  # rad/s
     gain: float  # V/V
-    period: float  # s
-    latest: float  # s  upper bound of the dead time
+    quick: bool  # whether the search only tells what the form is worth
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns."""
+        return self.order + self.zeros + 1 + self.delayed
 
     def model(self, x: Floats) -> tuple[TransferFunction, float]:
         """Model and delay [s]; the denominator is made of factors with positive coefficients."""
@@ -96,16 +100,94 @@ class _Form(NamedTuple):
             denominator = np.polymul(denominator, [1.0, w * math.exp(x[self.order - 1])])
         ascending = x[self.order : self.order + self.zeros + 1] * self.gain
         numerator = denominator[-1] * ascending * w ** -np.arange(self.zeros + 1.0)
-        delay = float(x[-1]) * self.period if self.delayed else 0.0
-        return (
-            TransferFunction(tuple(map(float, numerator[::-1])), tuple(map(float, denominator))),
-            delay,
-        )
+        delay = float(x[-1]) * self.measured.period if self.delayed else 0.0
+        return TransferFunction(tuple(map(float, numerator[::-1])), tuple(map(float, denominator))), delay
 
     def coefficients(self, x: Floats) -> Floats:
         """Numerator, denominator without its leading 1, and the delay if there is one."""
         model, delay = self.model(x)
         return np.array([*model.numerator, *model.denominator[1:], *([delay] if self.delayed else [])])
+
+    def errors(self, x: Floats) -> Complexes:
+        """What the model has beyond the measured response [V/V]."""
+        model, delay = self.model(x)
+        held = quick_held_response if self.quick else held_response
+        return held(model, self.measured.frequency, self.measured.period, delay) - self.measured.value
+
+    def residuals(self, x: Floats, weight: Floats) -> Floats:
+        """Real and imaginary parts of the weighted errors."""
+        error = self.errors(x) * weight
+        return np.concatenate([error.real, error.imag])
+
+    def model_error(self, x: Floats) -> float:
+        """Relative error of the model that, added to the noise, makes the squared errors what they are."""
+        distance, size = np.abs(self.errors(x)), np.abs(self.measured.value)
+        free = max(1, 2 * len(size) - self.unknowns)
+
+        def excess(part: float) -> float:
+            variance = self.measured.deviation**2 + (part * size) ** 2
+            return float(np.sum(distance**2 / variance)) - free
+
+        # Twice the spread of the sum by chance alone.
+        if excess(0.0) <= 2.0 * math.sqrt(2.0 * free):
+            return 0.0
+        high = 1e-9
+        while excess(high) > 0.0 and high < 1e3:
+            high *= 10.0
+        return float(scipy.optimize.brentq(excess, 0.0, high, xtol=1e-12))
+
+    def minimised(self, start: Floats, weight: Floats, latest: float) -> Floats:
+        """The unknowns from ``start`` on that make the weighted errors least; dead time up to ``latest``."""
+        tolerance, most = QUICK if self.quick else (1e-12, 100)
+        low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
+        low[: self.order], high[: self.order] = -WIDEST, WIDEST
+        if self.delayed:
+            widest = max(1.0, WIDEST_DELAY / (self.measured.frequency[0] * self.measured.period))
+            low[-1], high[-1] = 0.0, min(widest, latest / self.measured.period)
+        try:
+            found = scipy.optimize.least_squares(
+                self.residuals,
+                np.clip(start, low + 1e-9, high - 1e-9),
+                args=(weight,),
+                bounds=(low, high),
+                x_scale="jac",
+                xtol=tolerance,
+                ftol=tolerance,
+                gtol=tolerance,
+                max_nfev=most,
+            )
+        except (ValueError, np.linalg.LinAlgError) as error:
+            raise ParameterError(f"no model of order {self.order} fits the response: {error}") from error
+        best: Floats = found.x
+        return best
+
+    def searched(self, x: Floats, rounds: int, latest: float = math.inf) -> tuple[Floats, Floats]:
+        """The unknowns from ``x`` on, and their weights: of the size, then ``rounds`` times of the variance.
+
+        Raises ParameterError for a model that stands on the edge of stability or far outside the band.
+        """
+        size = np.abs(self.measured.value)
+        weight = 1.0 / size
+        x = self.minimised(x, weight, latest)
+        for _ in range(rounds):
+            weight = 1.0 / np.hypot(self.measured.deviation, self.model_error(x) * size)
+            x = self.minimised(x, weight, latest)
+        poles = np.roots(self.model(x)[0].denominator)
+        hertz = np.abs(poles) / (2.0 * np.pi)
+        damping = -poles.real / np.abs(poles)
+        if np.min(damping) < LEAST_DAMPING:
+            raise ParameterError(
+                f"the fit of order {self.order} is unstable or on the edge of it (poles at "
+                f"{hertz[np.argmin(damping)]:.4g} Hz without damping); choose another order or a better test"
+            )
+        low, high = float(self.measured.frequency[0]), float(self.measured.frequency[-1])
+        for at in (float(np.min(hertz)), float(np.max(hertz))):
+            if at < DEPTH * low or at > BAND * high:
+                raise ParameterError(
+                    f"the fit of order {self.order} puts a pole at {at:.4g} Hz, far outside the measured "
+                    f"{low:.4g} to {high:.4g} Hz; choose a lower order"
+                )
+        return x, weight
 
 
 def fit(
@@ -125,32 +207,20 @@ def fit(
     are too few frequencies, or no model fits.
     """
     zeros = max(0, order - 2) if zeros is None else zeros
-    if not 0 <= zeros < order:
-        raise ParameterError(f"a model of order {order} has 0 to {order - 1} zeros, not {zeros}")
-    count = order + zeros + 1 + delayed
-    needed = count // 2 + 1
-    if len(measured.frequency) < needed:
-        raise ParameterError(
-            f"order {order} has {count} unknowns and needs {needed} frequencies; "
-            f"{len(measured.frequency)} could be measured"
-        )
-    size = np.abs(measured.value)
-    form, x, free_error = _start(measured, order, zeros, delayed, size, latest)
-    x, weight = _weighted(form, x, measured, relative, count)
-    _check(form, x, measured)
-    distance = _distance(form, x, measured)
-    model_error = _model_error(measured, distance, count)
-    error = float(np.sqrt(np.mean((distance / size) ** 2)))
+    form, x, free_error = _start(measured, order, zeros, delayed, False)
+    x, weight = form.searched(x, 0 if relative else ROUNDS_OF_ERROR, latest)
+    size, model_error = np.abs(measured.value), form.model_error(x)
+    error = float(np.sqrt(np.mean((np.abs(form.errors(x)) / size) ** 2)))
     if error > UNSTABLE * free_error:
         raise ParameterError(
             f"the fit of order {order} is unstable: poles to the right miss the response by "
             f"{100.0 * free_error:.2g} %, stable ones by {100.0 * error:.2g} %"
         )
-    covariance = _covariance(form, x, measured, weight, model_error)
-    free = max(1, 2 * len(size) - count)
-    quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, free))
+    covariance = _covariance(form, x, weight, model_error)
+    quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, 2 * len(size) - form.unknowns)))
     model, delay = form.model(x)
     names = [f"b{i}" for i in range(zeros, -1, -1)] + [f"a{i}" for i in range(order - 1, -1, -1)]
+    gain_deviation = _deviations(lambda v: np.array([form.model(v)[0].static_gain]), x, covariance)
     return Fit(
         order=order,
         model=model,
@@ -158,37 +228,12 @@ def fit(
         names=(*names, *(["delay"] if delayed else [])),
         values=form.coefficients(x),
         bounds=quantile * _deviations(form.coefficients, x, covariance),
-        gain_bound=float(
-            quantile * _deviations(lambda v: np.array([form.model(v)[0].static_gain]), x, covariance)[0]
-        ),
+        gain_bound=float(quantile * gain_deviation[0]),
         error=error,
         model_error=model_error,
         corners=model_corners(model, delay),
         bounded=model_error <= EXPLAINED or float(np.median(measured.deviation / size)) <= EXCITED,
     )
-
-
-def _deviations(read: Callable[[Floats], Floats], x: Floats, covariance: Floats) -> Floats:
-    """Standard deviations of what ``read`` makes of the unknowns ``x``."""
-    slope = _jacobian(read, x)
-    variance = np.einsum("ij,jk,ik->i", slope, covariance, slope)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-
-def _weighted(
-    form: _Form, x: Floats, measured: Response, relative: bool, count: int
-) -> tuple[Floats, Floats]:
-    """The ``count`` unknowns from ``x`` on, and the weights used; ``relative``: as of ``fit``."""
-    size = np.abs(measured.value)
-    weight = 1.0 / size
-    x = _minimise(form, x, measured, weight)
-    if relative:
-        return x, weight
-    for _ in range(4):
-        model_error = _model_error(measured, _distance(form, x, measured), count)
-        weight = 1.0 / np.hypot(measured.deviation, model_error * size)
-        x = _minimise(form, x, measured, weight)
-    return x, weight
 
 
 def criterion(measured: Response, order: int, zeros: int, delayed: bool) -> tuple[float, float]:
@@ -197,21 +242,19 @@ def criterion(measured: Response, order: int, zeros: int, delayed: bool) -> tupl
     It is -2·(log likelihood) + (unknowns)·log(numbers measured), less is better. The variance at a frequency
     is that of the measurement and of the relative error of the model. Raises ParameterError.
     """
-    size = np.abs(measured.value)
-    count = order + zeros + 1 + delayed
-    if len(size) < count // 2 + 1:
-        raise ParameterError(f"order {order} has {count} unknowns, and {len(size)} frequencies were measured")
-    form, x, _ = _start(measured, order, zeros, delayed, size, math.inf)
-    x = _minimise(form, x, measured, 1.0 / size, True)
-    for _ in range(SHORT_ROUNDS):
-        model_error = _model_error(measured, np.abs(_errors(form, x, measured, True)), count)
-        x = _minimise(form, x, measured, 1.0 / np.hypot(measured.deviation, model_error * size), True)
-    _check(form, x, measured)
-    distance = np.abs(_errors(form, x, measured, True))
-    model_error = _model_error(measured, distance, count)
+    form, x, _ = _start(measured, order, zeros, delayed, True)
+    x, _ = form.searched(x, SHORT_ROUNDS)
+    size, model_error = np.abs(measured.value), form.model_error(x)
     variance = measured.deviation**2 + (model_error * size) ** 2
-    misfit = float(np.sum(2.0 * np.log(variance) + distance**2 / variance))
-    return misfit + count * math.log(2 * len(size)), model_error
+    misfit = float(np.sum(2.0 * np.log(variance) + np.abs(form.errors(x)) ** 2 / variance))
+    return misfit + form.unknowns * math.log(2 * len(size)), model_error
+
+
+def _vaguest(made: Fit) -> tuple[str, float, float]:
+    """Name, value and relative bound of the denominator's coefficient that is known worst."""
+    share = made.bounds / np.maximum(np.abs(made.values), 1e-300)
+    worst = max((i for i, name in enumerate(made.names) if name.startswith("a")), key=lambda i: share[i])
+    return made.names[worst], float(made.values[worst]), float(share[worst])
 
 
 def check_worth(made: Fit) -> None:
@@ -237,41 +280,11 @@ def check_worth(made: Fit) -> None:
         )
 
 
-def _cancelled(model: TransferFunction) -> float | None:
-    """Frequency [Hz] of a pole of ``model`` that one of its zeros cancels; None: there is none."""
-    zeros = np.roots(model.numerator)
-    for pole in np.roots(model.denominator):
-        if np.any(np.abs(zeros - pole) < CANCELLED * abs(pole)):
-            return float(abs(pole)) / (2.0 * math.pi)
-    return None
-
-
-def _vaguest(made: Fit) -> tuple[str, float, float]:
-    """Name, value and relative bound of the denominator's coefficient that is known worst."""
-    share = made.bounds / np.maximum(np.abs(made.values), 1e-300)
-    worst = max((i for i, name in enumerate(made.names) if name.startswith("a")), key=lambda i: share[i])
-    return made.names[worst], float(made.values[worst]), float(share[worst])
-
-
-def check_clear(made: Fit) -> None:
-    """Raise ParameterError for a fit of an order for which nobody asked and which the data do not tell."""
-    at = _cancelled(made.model)
-    if at is not None:
-        raise ParameterError(
-            f"a zero at {at:.4g} Hz cancels a pole of order {made.order} there; --order {made.order} takes "
-            "it all the same"
-        )
-    name, value, share = _vaguest(made)
-    if not made.bounded:
-        raise ParameterError(
-            f"order {made.order} still misses the response by {100.0 * made.model_error:.2g} % that is not "
-            f"noise; --order {made.order} takes it all the same"
-        )
-    if not share <= CLEAR:
-        raise ParameterError(
-            f"the data do not tell order {made.order} well: its {name} is {value:.3g} ± "
-            f"{100.0 * share:.2g} %; --order {made.order} takes it all the same"
-        )
+def is_clear(made: Fit) -> bool:
+    """Whether the data tell the order of a fit for which nobody asked: no zero cancels a pole of it, too."""
+    poles, zeros = np.roots(made.model.denominator), np.roots(made.model.numerator)
+    cancelled = np.any(np.abs(zeros - poles[:, None]) < CANCELLED * np.abs(poles[:, None]))
+    return made.order == 2 or bool(not cancelled and made.bounded and _vaguest(made)[2] <= CLEAR)
 
 
 def measured_corners(measured: Response, static_gain: float) -> Corners:
@@ -292,8 +305,7 @@ def measured_corners(measured: Response, static_gain: float) -> Corners:
 
     def evaluate(frequency: Floats) -> Complexes:
         at = np.log(frequency)
-        made: Complexes = np.exp(np.interp(at, known, size) + 1j * np.interp(at, known, turn))
-        return made
+        return np.asarray(np.exp(np.interp(at, known, size) + 1j * np.interp(at, known, turn)))
 
     return corners(evaluate, float(frequencies[-1]))
 
@@ -306,21 +318,27 @@ def hold(frequency: Floats, period: float) -> Complexes:
 
 
 def _start(
-    measured: Response, order: int, zeros: int, delayed: bool, size: Floats, latest: float
+    measured: Response, order: int, zeros: int, delayed: bool, quick: bool
 ) -> tuple[_Form, Floats, float]:
     """Linear least squares for each of several delays; the nearest is where the search begins.
 
-    Last comes the relative error of what was found, if it has poles to the right, else infinity.
+    Last comes the relative error of what was found, if it has poles to the right, else infinity. Raises
+    ParameterError if there are too few frequencies.
     """
+    size, count = np.abs(measured.value), order + zeros + 1 + delayed
+    if len(size) < count // 2 + 1:
+        raise ParameterError(
+            f"order {order} has {count} unknowns and needs {count // 2 + 1} frequencies; "
+            f"{len(size)} could be measured"
+        )
     value: Complexes = measured.value / hold(measured.frequency, measured.period)
     omega = 2.0 * np.pi * measured.frequency
     scale = float(np.sqrt(omega[0] * omega[-1]))
     delays = DELAY_STEP / measured.frequency[-1] * np.arange(DELAYS if delayed else 1)
     s = np.asarray(1j * omega / scale, dtype=np.complex128)
-    advanced = [value * np.exp(1j * omega * delay) for delay in delays]
     tried = [
-        (*_linear(without, s, order, zeros, size), float(delay))
-        for without, delay in zip(advanced, delays, strict=True)
+        (*_linear(value * np.exp(1j * omega * delay), s, order, zeros, size), float(delay))
+        for delay in delays
     ]
     error, numerator, below, delay = min(tried, key=lambda attempt: attempt[0])
     poles = np.asarray(np.roots(below[::-1]), dtype=np.complex128)
@@ -331,7 +349,7 @@ def _start(
     at = [max(0.05, delay / measured.period)] if delayed else []
     x = np.concatenate([factors, numerator / (static * gain), at])
     unstable = math.sqrt(error / len(size)) if np.any(poles.real > 0.0) else math.inf
-    return _Form(order, zeros, delayed, scale, gain, measured.period, latest), x, unstable
+    return _Form(order, zeros, delayed, measured, scale, gain, quick), x, unstable
 
 
 def _linear(
@@ -373,108 +391,29 @@ def _stable_factors(poles: Complexes, order: int) -> Floats:
     return np.array(made + [math.log(p) for p in real[: order % 2]])
 
 
-def _distance(form: _Form, x: Floats, measured: Response) -> Floats:
-    return np.abs(_errors(form, x, measured))
-
-
-def _errors(form: _Form, x: Floats, measured: Response, quick: bool = False) -> Complexes:
-    model, delay = form.model(x)
-    held = quick_held_response if quick else held_response
-    return held(model, measured.frequency, form.period, delay) - measured.value
-
-
-def _residuals(form: _Form, x: Floats, measured: Response, weight: Floats, quick: bool = False) -> Floats:
-    error = _errors(form, x, measured, quick) * weight
-    return np.concatenate([error.real, error.imag])
-
-
-def _minimise(form: _Form, start: Floats, measured: Response, weight: Floats, quick: bool = False) -> Floats:
-    tolerance, most = QUICK if quick else (1e-12, 100)
-    low = np.full(len(start), -np.inf)
-    high = np.full(len(start), np.inf)
-    low[: form.order], high[: form.order] = -WIDEST, WIDEST
-    if form.delayed:
-        widest = max(1.0, WIDEST_DELAY / (measured.frequency[0] * form.period))
-        low[-1], high[-1] = 0.0, min(widest, form.latest / form.period)
-    inside = np.clip(start, low + 1e-9, high - 1e-9)
-    try:
-        found = scipy.optimize.least_squares(
-            lambda x: _residuals(form, x, measured, weight, quick),
-            inside,
-            bounds=(low, high),
-            x_scale="jac",
-            xtol=tolerance,
-            ftol=tolerance,
-            gtol=tolerance,
-            max_nfev=most,
-        )
-    except (ValueError, np.linalg.LinAlgError) as error:
-        raise ParameterError(f"no model of order {form.order} fits the response: {error}") from error
-    best: Floats = found.x
-    return best
-
-
-def _model_error(measured: Response, distance: Floats, count: int) -> float:
-    """Relative error of the model that, added to the noise, makes the squared distances what they are."""
-    size = np.abs(measured.value)
-    free = max(1, 2 * len(size) - count)
-
-    def excess(part: float) -> float:
-        return float(np.sum(distance**2 / (measured.deviation**2 + (part * size) ** 2))) - free
-
-    # Twice the spread of the sum by chance alone.
-    if excess(0.0) <= 2.0 * math.sqrt(2.0 * free):
-        return 0.0
-    high = 1e-9
-    while excess(high) > 0.0 and high < 1e3:
-        high *= 10.0
-    return float(scipy.optimize.brentq(excess, 0.0, high, xtol=1e-12))
+def _deviations(read: Callable[[Floats], Floats], x: Floats, covariance: Floats) -> Floats:
+    """Standard deviations of what ``read`` makes of the unknowns ``x``."""
+    slope = _jacobian(read, x)
+    variance = np.einsum("ij,jk,ik->i", slope, covariance, slope)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _jacobian(read: Callable[[Floats], Floats], x: Floats) -> Floats:
     """Central differences; no parameter is far from 1."""
     columns = []
-    for i in range(len(x)):
-        h = 1e-5 * max(0.1, abs(x[i]))
-        above, below = x.copy(), x.copy()
-        above[i] += h
-        below[i] -= h
-        columns.append((read(above) - read(below)) / (2.0 * h))
+    for i, h in enumerate(1e-5 * np.maximum(0.1, np.abs(x))):
+        step = np.where(np.arange(len(x)) == i, h, 0.0)
+        columns.append((read(x + step) - read(x - step)) / (2.0 * h))
     return np.column_stack(columns)
 
 
-def _covariance(form: _Form, x: Floats, measured: Response, weight: Floats, model_error: float) -> Floats:
+def _covariance(form: _Form, x: Floats, weight: Floats, model_error: float) -> Floats:
     """Covariance of the parameters for any weight: (JᵀJ)⁻¹ JᵀΣJ (JᵀJ)⁻¹, Σ of noise and model error."""
+    measured = form.measured
     if form.delayed:
         x = np.append(x[:-1], max(x[-1], 1e-4))
-    jacobian = _jacobian(lambda v: _residuals(form, v, measured, weight), x)
     deviation = np.hypot(measured.deviation, model_error * np.abs(measured.value)) * weight
-    inverse = np.linalg.pinv(jacobian)
+    inverse = np.linalg.pinv(_jacobian(lambda v: form.residuals(v, weight), x))
     spread = inverse * np.concatenate([deviation, deviation])
     covariance: Floats = spread @ spread.T
     return covariance
-
-
-def _check(form: _Form, x: Floats, measured: Response) -> None:
-    """Raise ParameterError for a model that stands on the edge of stability or far outside the band."""
-    model, _ = form.model(x)
-    poles = np.roots(model.denominator)
-    damping = -poles.real / np.abs(poles)
-    if np.min(damping) < LEAST_DAMPING:
-        at = float(np.abs(poles[np.argmin(damping)])) / (2.0 * np.pi)
-        raise ParameterError(
-            f"the fit of order {form.order} is unstable or on the edge of it (poles at {at:.4g} Hz without "
-            "damping); choose another order or a better test"
-        )
-    slowest = float(np.min(np.abs(poles))) / (2.0 * np.pi)
-    if slowest < DEPTH * measured.frequency[0]:
-        raise ParameterError(
-            f"the fit of order {form.order} puts a pole at {slowest:.2g} Hz, far below the measured "
-            f"{measured.frequency[0]:.4g} Hz; choose a lower order"
-        )
-    widest = float(np.max(np.abs(poles))) / (2.0 * np.pi)
-    if widest > BAND * measured.frequency[-1]:
-        raise ParameterError(
-            f"the fit of order {form.order} puts a pole at {widest:.4g} Hz, far above the measured "
-            f"{measured.frequency[-1]:.4g} Hz; choose a lower order"
-        )

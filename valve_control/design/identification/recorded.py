@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Takes a test of a valve out of a bag: its voltages and readings, sample by sample."""
 
-from itertools import pairwise
-
 import numpy as np
 
 from valve_control.arrays import Floats, Integers
@@ -17,14 +15,7 @@ from valve_control.design.identification.experiment import Experiment, RecordedT
 from valve_control.design.identification.response import Segment
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import in_order
-from valve_control.recordings.parameters import Node
-from valve_control.recordings.recording import (
-    Aligned,
-    Recording,
-    ValveRecording,
-    align,
-    voltages_before,
-)
+from valve_control.recordings.recording import Aligned, Recording, ValveRecording, align, voltages_before
 
 STILL = 1e-6  # V within which a voltage does not move
 LOOSE = 0.5  # of a sine's amplitude that jitter of a wall clock may leave
@@ -75,13 +66,6 @@ def _samples(
     return voltage, position, time
 
 
-def _leaping(time: Floats, cuts: list[int], period: float) -> str:
-    """That ``time`` [s] leaps before the samples ``cuts``."""
-    told = ", ".join(f"{time[cut] - time[cut - 1] - period:+.3f} s" for cut in cuts[:5])
-    more = f" and {len(cuts) - 5} more" if len(cuts) > 5 else ""
-    return f"time leaps by {told}{more} beside the readings: the clock was set, or readings are missing"
-
-
 def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
     """Voltages and readings of a recorded test of ``valve``. Raises BagError."""
     for part in ("spool_position", "valve_voltage"):
@@ -100,28 +84,19 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
     length = len(time)
     if length > count:
         notes.append(f"{length - count} of {length} readings were lost and are left out")
+    if aligned.wall and count > 1 and len(cuts := index[leaps(aligned.stamp, index, period)]):
+        bounds = np.array([0, *cuts, length])
+        longest = int(np.argmax(np.diff(bounds)))
+        whole = slice(bounds[longest], bounds[longest + 1])
+        voltage, position, time = voltage[whole], position[whole], time[whole]
+        if times is not None:
+            times = times._replace(voltage=times.voltage[whole], late=times.late[whole])
+        notes.append(
+            f"time leaps {len(cuts)} times beside the readings, because the clock was set or readings are "
+            f"missing; only {len(time) * period:.4g} s between two leaps are used"
+        )
     voltage_held = held(voltage)
-    cuts = index[leaps(aligned.stamp, index, period)] if aligned.wall and count > 1 else index[:0]
-    bounds = [0, *cuts.tolist(), length]
-    if len(cuts):
-        segments = [
-            one._replace(first=one.first + first, end=one.end + first)
-            for first, end in pairwise(bounds)
-            for one in response.find_segments(voltage_held[first:end], period)
-        ]
-        which = "the frequencies are taken between its leaps"
-        if not segments:
-            longest = int(np.argmax(np.diff(bounds)))
-            whole = slice(bounds[longest], bounds[longest + 1])
-            voltage, position = voltage[whole], position[whole]
-            if times is not None:
-                times = times._replace(voltage=times.voltage[whole], late=times.late[whole])
-            which = f"only {(whole.stop - whole.start) * period:.4g} s between two leaps are used"
-        notes.append(f"{_leaping(time, cuts.tolist(), period)}; {which}")
-    else:
-        segments = _scheduled(_source(recording, valve), voltage_held, time, period)
-        if not segments:
-            segments = response.find_segments(voltage_held, period)
+    segments = _scheduled(recording, valve, voltage_held, time, period)
     initial = {} if valve.controller is None else valve.controller.initial
     law = str(initial.get("controller", "open_loop"))
     feedback = law if law in LAWS and LAWS[law].feedback else ""
@@ -130,7 +105,7 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
         period=period,
         voltage=voltage,
         position=position,
-        segments=tuple(segments),
+        segments=tuple(segments or response.find_segments(voltage_held, period)),
         u_max=float(initial.get("u_max", 10.0)),
         notes=tuple(notes),
         feedback=feedback,
@@ -152,32 +127,30 @@ def _times(
     return RecordedTimes(means, late, timing.spread(aligned.latency))
 
 
-def _source(recording: Recording, valve: ValveRecording) -> Node | None:
-    for node in recording.nodes.values():
-        if node.kind == "command_source" and node.namespace == valve.topics.namespace:
-            return node
-    return None
-
-
-def _scheduled(source: Node | None, voltage: Floats, time: Floats, period: float) -> list[Segment]:
+def _scheduled(
+    recording: Recording, valve: ValveRecording, voltage: Floats, time: Floats, period: float
+) -> list[Segment]:
     """Segments of the stepped sine that the command source's recorded parameters tell; empty if none."""
-    if source is None:
+    moving = np.flatnonzero(np.abs(voltage - voltage[0]) > STILL)
+    for source in recording.nodes.values():
+        if source.kind == "command_source" and source.namespace == valve.topics.namespace:
+            break
+    else:
         return []
     told = dict(source.initial)
     for change in source.changes:
         told.update(change.values)
     values, _ = source.table_values(told)
-    moving = np.flatnonzero(np.abs(voltage - voltage[0]) > STILL)
     if values["scenario"] != "stepped_sine" or len(moving) == 0:
         return []
     begin = time[max(0, int(moving[0]) - 1)]
-    found = []
+    segments = []
     for step in scenarios.steps_of(build.shape(values)):
         first, end = np.searchsorted(time, [begin + step.start, begin + step.end - MARGIN])
-        if end - first < 8 or step.frequency * period >= 0.5:
+        if end - first < response.LEAST_SAMPLES or step.frequency * period >= 0.5:
             continue
         exact = response.refined(voltage, int(first), int(end), step.frequency * period, period, LOOSE)
         if exact is None or abs(exact.frequency / step.frequency - 1.0) > response.SAME:
             return []
-        found.append(exact)
-    return found
+        segments.append(exact)
+    return segments

@@ -69,16 +69,6 @@ class Response(NamedTuple):
     notes: tuple[str, ...]  # frequencies left out, and why
 
 
-def check_saturation(voltage: Floats, u_max: float) -> None:
-    """Raise ParameterError where the voltage [V] was at its limit: what then drove the valve is unknown."""
-    at_limit = int(np.count_nonzero(np.abs(voltage) >= u_max * (1.0 - 1e-12)))
-    if at_limit:
-        raise ParameterError(
-            f"the voltage is at its limit of {u_max:g} V in {at_limit} of {len(voltage)} samples; "
-            "choose a smaller amplitude"
-        )
-
-
 def stepped(
     voltage: Floats, position: Floats, segments: Sequence[Segment], period: float, settle: float
 ) -> Response:
@@ -87,50 +77,39 @@ def stepped(
     A sine, a cosine and a constant are fitted to voltage and position; the residual of the position gives the
     uncertainty. Samples that are NaN are left out. Raises ParameterError if too little is left.
     """
-    points, notes = [], []
-    short: list[str] = []
-    distorted = [(DISTORTED, 0.0)]
-    for segment in segments:
-        refuse_aliased(segment.frequency, period)
-        cycle = 1.0 / (segment.frequency * period)
-        count = math.floor((segment.end - segment.first - settle / period) / cycle + 1e-6)
+    points, notes = [], list[str]()
+    most, at = DISTORTED, 0.0
+    for first, end, frequency in segments:
+        refuse_aliased(frequency, period)
+        turns = frequency * period
+        cycle = 1.0 / turns
+        count = math.floor((end - first - settle / period) / cycle + 1e-6)
         if count < LEAST_CYCLES:
-            short.append(
-                f"{segment.frequency:.4g} Hz has {max(0, count)} whole cycles after its transient of "
-                f"{settle:g} s; it needs {LEAST_CYCLES} (parameters cycles and step_time, or --settle)"
+            notes.append(
+                f"{frequency:.4g} Hz is left out: it has {max(0, count)} whole cycles after its "
+                f"transient of {settle:g} s; it needs {LEAST_CYCLES} (cycles and step_time, or --settle)"
             )
             continue
-        k = np.arange(segment.end - round(count * cycle), segment.end)
+        k = np.arange(end - round(count * cycle), end)
         k = k[np.isfinite(voltage[k]) & np.isfinite(position[k])]
         if len(k) < LEAST_SAMPLES:
-            raise ParameterError(
-                f"{segment.frequency:.4g} Hz has only {len(k)} readings; it needs {LEAST_SAMPLES}"
-            )
-        turns = segment.frequency * period
+            raise ParameterError(f"{frequency:.4g} Hz has only {len(k)} readings; it needs {LEAST_SAMPLES}")
         u, _ = phasor(voltage[k], k, turns)
         y, noise = phasor(position[k], k, turns)
-        harmonics = _harmonics(position[k], k, turns) / max(abs(y), 1e-300)
-        distorted.append((harmonics, segment.frequency))
         if abs(u) < 1e-6:
-            raise ParameterError(
-                f"the voltage does not move at {segment.frequency:.4g} Hz; there is no excitation"
-            )
+            raise ParameterError(f"the voltage does not move at {frequency:.4g} Hz; there is no excitation")
+        harmonics = _harmonics(position[k], k, turns) / max(abs(y), 1e-300)
+        most, at = max((most, at), (harmonics, frequency), key=lambda one: one[0])
         deviation = noise * math.sqrt(2.0 / len(k)) / abs(u)
         value = y / u
         if abs(value) < RESOLUTION * deviation:
             notes.append(
-                f"{segment.frequency:.4g} Hz is left out: its response of {abs(value):.2g} V/V is lost in "
+                f"{frequency:.4g} Hz is left out: its response of {abs(value):.2g} V/V is lost in "
                 f"noise of {deviation:.2g} V/V"
             )
             continue
         coherence = 0.5 * abs(y) ** 2 / (0.5 * abs(y) ** 2 + noise**2)
-        points.append((segment.frequency, value, max(deviation, CERTAIN * abs(value)), coherence))
-    if len(short) == len(segments) and short:
-        raise ParameterError(short[0])
-    if short:
-        more = f"; so are {len(short) - 1} more" if len(short) > 1 else ""
-        notes.append(f"left out: {short[0]}{more}")
-    most, at = max(distorted, key=lambda one: one[0])
+        points.append((frequency, value, max(deviation, CERTAIN * abs(value)), coherence))
     if at > 0.0:
         notes.append(
             f"the position has harmonics of up to {100.0 * most:.3g} % (at {at:.4g} Hz): friction or another "
@@ -141,19 +120,16 @@ def stepped(
 
 def _harmonics(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> float:
     """Amplitude of the second to fifth harmonic together, as far as they stand out of the noise."""
-    angle = 2.0 * np.pi * turns * index
-    count = min(5, math.floor(0.49 / turns))
-    columns = [np.ones(len(index))]
-    for n in range(1, count + 1):
-        columns += [np.cos(n * angle), np.sin(n * angle)]
-    matrix = np.column_stack(columns)
+    orders = np.arange(1, min(5, math.floor(0.49 / turns)) + 1)
+    waves = np.exp(2j * np.pi * turns * np.outer(index, orders))
+    matrix = np.column_stack([np.ones(len(index)), waves.real, waves.imag])
     if len(index) <= 2 * matrix.shape[1]:
         return 0.0
     fit, _, _, _ = np.linalg.lstsq(matrix, signal, rcond=None)
     rest = signal - matrix @ fit
     floor = 2.0 * RESOLUTION * math.sqrt(2.0 * float(rest @ rest)) / len(index)
-    sizes = [math.hypot(fit[2 * n - 1], fit[2 * n]) for n in range(2, count + 1)]
-    return math.hypot(*(size for size in sizes if size > floor))
+    sizes = np.hypot(fit[1 : len(orders) + 1], fit[len(orders) + 1 :])[1:]
+    return math.hypot(*sizes[sizes > floor])
 
 
 def phasor(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> tuple[complex, float]:
@@ -192,7 +168,7 @@ def spectral(voltage: Floats, position: Floats, period: float, lowest: float, hi
     frequency: Floats = np.fft.rfftfreq(len(voltage) - 1, period).astype(np.float64)
     strongest = float(np.max(np.abs(u[1:]) / frequency[1:]))
     points = []
-    silent = lost = 0
+    left_out = 0
     first = int(np.searchsorted(frequency, lowest))
     while first < len(frequency) and frequency[first] <= highest:
         end = max(first + BAND_BINS, int(np.searchsorted(frequency, frequency[first] * BAND_RATIO)))
@@ -204,21 +180,18 @@ def spectral(voltage: Floats, position: Floats, period: float, lowest: float, hi
         power = np.abs(moved) ** 2
         told_apart = np.sum(power) > APART**2 * np.sum(np.abs(u[band]) ** 2)
         if not told_apart or np.max(np.abs(moved) / frequency[band]) <= SILENT * strongest:
-            silent += 1
+            left_out += 1
             continue
         middle = float(np.sum(power * frequency[band]) / np.sum(power))
         lines = float(np.sum(power)) ** 2 / float(np.sum(power**2))
         degree = DEGREE if lines >= 2 * (DEGREE + 1) else 0
         value, deviation, coherence = _local(u[band], y[band], frequency[band] - middle, degree)
         if coherence < LEAST_COHERENCE or abs(value) < RESOLUTION * deviation:
-            lost += 1
+            left_out += 1
             continue
         points.append((middle, value, max(deviation, CERTAIN * abs(value)), coherence))
-    notes = []
-    if silent:
-        notes.append(f"{silent} bands of frequency are left out: the voltage does not move there")
-    if lost:
-        notes.append(f"{lost} bands of frequency are left out: the position there is lost in noise")
+    reason = "the voltage does not move there, or the position is lost in noise"
+    notes = [f"{left_out} bands of frequency are left out: {reason}"] if left_out else []
     return _response(points, period, "local polynomials", notes)
 
 
@@ -291,15 +264,12 @@ def find_segments(voltage: Floats, period: float) -> list[Segment]:
 def _swept(u: Floats, segments: Sequence[Segment], period: float) -> bool:
     """Whether the frequency rises or falls within the segments, so that they are pieces of a sweep."""
     drifts = []
-    for segment in segments:
-        middle = (segment.first + segment.end) // 2
-        turns = segment.frequency * period
-        halves = [
-            refined(u, first, end, turns, period, 10.0 * PURE)
-            for first, end in ((segment.first, middle), (middle, segment.end))
-        ]
-        if halves[0] is not None and halves[1] is not None:
-            drifts.append(abs(halves[1].frequency / halves[0].frequency - 1.0))
+    for first, end, frequency in segments:
+        middle, turns = (first + end) // 2, frequency * period
+        before = refined(u, first, middle, turns, period, 10.0 * PURE)
+        behind = refined(u, middle, end, turns, period, 10.0 * PURE)
+        if before is not None and behind is not None:
+            drifts.append(abs(behind.frequency / before.frequency - 1.0))
     return bool(drifts) and float(np.median(drifts)) > DRIFT
 
 

@@ -1,8 +1,7 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Writes the result of an identification: tables, ROS 2 parameter file, JSON, CSV, Bode plot."""
+"""Writes a valve that was identified, or given: text, JSON, ROS 2 parameter file, Bode plot."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,14 +14,12 @@ from valve_control.control.parameters.files import load
 from valve_control.control.parameters.ros_file import as_yaml
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant.models import TransferFunction
-from valve_control.design.identification import bode, characteristic, first_gains, rational
+from valve_control.design.identification import bode, characteristic, rational
 from valve_control.design.identification.bode import Corners, Root
 from valve_control.design.identification.characteristic import Characteristic
-from valve_control.design.identification.friction import Friction
-from valve_control.design.identification.lvdt import Lvdt
+from valve_control.design.identification.first_gains import KnownValve, rounded
 from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response
-from valve_control.design.identification.theta import Suggestion
 from valve_control.parameter import ParameterError, Values, defaults, updated
 
 STABLE = (
@@ -33,23 +30,15 @@ NEAR = 1.1  # times the highest excited frequency, and over the lowest, up to wh
 
 
 class Identification(NamedTuple):
-    """All results of an identification."""
+    """A valve with gains for a first run, and the test that it comes from."""
 
     source: str
-    measured: Response
-    fits: tuple[Fit, ...]  # the last one stands for the valve
-    theta: Suggestion
-    lvdt: Lvdt
-    gains: Values  # of the controller, for a first run
-    u_max: float  # V
+    known: KnownValve
+    gains: Values  # of the controller
     notes: tuple[str, ...]
-    friction: Friction | None = None  # None: not tested
+    measured: Response | None = None  # None: not tested
+    fits: tuple[Fit, ...] = ()  # the last one stands for the valve
     curve: Characteristic | None = None  # None: not tested, or to one side alone
-
-    @property
-    def best(self) -> Fit:
-        """The fit that stands for the valve."""
-        return self.fits[-1]
 
 
 def polynomial(coefficients: tuple[float, ...]) -> str:
@@ -80,6 +69,10 @@ def roots_text(roots: list[Root], measured: Response | None = None) -> str:
     return ", ".join(texts) or "none"
 
 
+def _ratio(model: TransferFunction) -> str:
+    return f"({polynomial(model.numerator)}) / ({polynomial(model.denominator)})"
+
+
 def corners_text(corners: Corners) -> str:
     """Frequencies of -3 dB and -90°."""
     return f"-3 dB at {hertz(corners.minus_3db)}, -90° at {hertz(corners.minus_90)}"
@@ -95,159 +88,134 @@ def _corners(fit: Fit, measured: Response) -> Corners:
     return Corners(*(None if c is None or not _excited(c, measured) else c for c in fit.corners))
 
 
-def fit_text(made: Fit, measured: Response) -> str:
+def _coefficients(fit: Fit, line: str) -> list[str]:
+    """Name, value, bound and bound [%] of each coefficient as ``line`` has them; without bounds up to ±."""
+    with np.errstate(divide="ignore"):
+        share = 100.0 * fit.bounds / np.abs(fit.values)
+    line = line if fit.bounded else line.partition(" ±")[0]
+    return [line.format(*row) for row in zip(fit.names, fit.values, fit.bounds, share, strict=True)]
+
+
+def fit_text(fit: Fit, measured: Response) -> str:
     """One fit to ``measured`` as the terminal shows it."""
-    about = (
-        f", of which the model {100 * made.model_error:.2g} %" if made.model_error else ", all of it noise"
-    )
-    width = f" ± {made.gain_bound:.2g}" if made.bounded else ""
+    share = f", of which the model {100 * fit.model_error:.2g} %" if fit.model_error else ", all of it noise"
+    width = f" ± {fit.gain_bound:.2g}" if fit.bounded else ""
+    late = f" with a delay of {1e3 * fit.delay:.3f} ms" if "delay" in fit.names else ""
+    poles, zeros = (roots_text(bode.roots(part), measured) for part in (fit.model[1], fit.model[0]))
     lines = [
-        f"order {made.order}: ({polynomial(made.model.numerator)}) / ({polynomial(made.model.denominator)})"
-        + (f" with a delay of {1e3 * made.delay:.3f} ms" if "delay" in made.names else "")
-    ]
-    for name, value, bound in zip(made.names, made.values, made.bounds, strict=True):
-        share = 100.0 * bound / abs(value) if value else np.inf
-        lines.append(
-            f"  {name:6} {value:14.7g}" + (f" ± {bound:10.3g}  ({share:.2g} %)" if made.bounded else "")
-        )
-    lines += [
-        f"  static gain {made.model.static_gain:.5f}{width} V/V; "
-        f"fit error {100 * made.error:.3g} % rms{about}",
-        f"  poles {roots_text(bode.roots(made.model.denominator), measured)}; "
-        f"zeros {roots_text(bode.roots(made.model.numerator), measured)}",
-        f"  {corners_text(_corners(made, measured))}",
+        f"order {fit.order}: {_ratio(fit.model)}{late}",
+        *_coefficients(fit, "  {0:6} {1:14.7g} ± {2:10.3g}  ({3:.2g} %)"),
+        f"  static gain {fit.model.static_gain:.5f}{width} V/V; fit error {100 * fit.error:.3g} % rms{share}",
+        f"  poles {poles}; zeros {zeros}",
+        f"  {corners_text(_corners(fit, measured))}",
     ]
     return "\n".join(lines)
 
 
-def friction_text(found: Friction) -> str:
-    """Friction as the terminal shows it."""
-    told = f"presliding {1e3 * found.presliding:.3g} mV" if found.presliding else "presliding not to be told"
-    return (
-        f"friction: Coulomb {found.coulomb:.4g} V, {told}, offset {found.offset:.3g} V "
-        f"(triangle, {found.strokes} strokes)"
-    )
-
-
-def theta_text(found: Suggestion) -> str:
-    """Estimates and their bounds as the terminal shows them."""
-    return (
-        f"for arc and oarc: theta_initial {found.initial}\n"
-        f"                  theta_min     {found.lower}\n"
-        f"                  theta_max     {found.upper}"
-    )
+def _test_text(measured: Response, fits: tuple[Fit, ...]) -> list[str]:
+    relative = measured.deviation / np.abs(measured.value)
+    corners = rational.measured_corners(measured, fits[-1].model.static_gain)
+    frequency, coherence = measured.frequency, measured.coherence
+    return [
+        f"measured: {measured.method}, {len(frequency)} frequencies from {frequency[0]:.4g} to "
+        f"{frequency[-1]:.4g} Hz, uncertainty {100 * np.min(relative):.2g} to "
+        f"{100 * np.max(relative):.2g} %, coherence {np.min(coherence):.3f} to {np.max(coherence):.3f}; "
+        f"{corners_text(corners)}",
+        *(fit_text(fit, measured) for fit in fits),
+    ]
 
 
 def text(found: Identification) -> str:
     """The whole identification as the terminal shows it."""
-    m = found.measured
-    corners = rational.measured_corners(m, found.best.model.static_gain)
-    relative = m.deviation / np.abs(m.value)
-    lines = [
-        f"{found.source}",
-        f"measured: {m.method}, {len(m.frequency)} frequencies from {m.frequency[0]:.4g} to "
-        f"{m.frequency[-1]:.4g} Hz, uncertainty {100 * np.min(relative):.2g} to "
-        f"{100 * np.max(relative):.2g} %, coherence {np.min(m.coherence):.3f} to {np.max(m.coherence):.3f}; "
-        f"{corners_text(corners)}",
-        *(fit_text(made, m) for made in found.fits),
-        theta_text(found.theta),
-        f"LVDT: noise {1e3 * found.lvdt.noise:.3g} mV, "
-        + (f"steps of {1e3 * found.lvdt.resolution:.3g} mV" if found.lvdt.resolution else "no steps"),
-        *([] if found.friction is None else [friction_text(found.friction)]),
-        *([] if found.curve is None else [characteristic.text(found.curve)]),
-        *(f"note: {note}" for note in found.notes),
+    known, rubbing, estimates = found.known, found.known.friction, found.known.theta
+    if found.measured is None:
+        corners = corners_text(bode.model_corners(known.model, known.delay))
+        lines = [found.source, _ratio(known.model), f"  {corners}"]
+    else:
+        lines = [found.source, *_test_text(found.measured, found.fits)]
+    lines += [
+        f"for arc and oarc: theta_initial {estimates.initial}",
+        f"                  theta_min     {estimates.lower}",
+        f"                  theta_max     {estimates.upper}",
     ]
-    return "\n".join(lines)
+    if found.measured is not None:
+        steps = f"steps of {1e3 * known.lvdt.resolution:.3g} mV" if known.lvdt.resolution else "no steps"
+        lines.append(f"LVDT: noise {1e3 * known.lvdt.noise:.3g} mV, {steps}")
+    if rubbing is not None:
+        way = f"{1e3 * rubbing.presliding:.3g} mV" if rubbing.presliding else "not to be told"
+        lines.append(
+            f"friction: Coulomb {rubbing.coulomb:.4g} V, presliding {way}, offset {rubbing.offset:.3g} V "
+            f"(triangle, {rubbing.strokes} strokes)"
+        )
+    lines += [] if found.curve is None else [characteristic.text(found.curve)]
+    return "\n".join([*lines, *(f"note: {note}" for note in found.notes)])
 
 
 def parameters(found: Identification) -> dict[str, Values]:
     """Parameters for the nodes: the valve's model, a compensator for it, the adaptive laws' estimates."""
-    delay = found.best.delay if "delay" in found.best.names else None
-    known = first_gains.KnownValve(
-        found.best.model, delay or 0.0, found.theta, found.lvdt, found.measured.period, found.u_max,
-        found.friction,
-    )  # fmt: skip
-    return parameters_of(known, delay is not None, found.gains)
-
-
-def parameters_of(known: first_gains.KnownValve, late: bool, gains: Values) -> dict[str, Values]:
-    """Parameters for the nodes of a valve and its first ``gains``; ``late``: the dead time belongs to it."""
-    model, estimates = known.model, known.theta
-    numerator, denominator = ([_rounded(c) for c in part] for part in model)
-    bounds = {
-        "theta_initial": estimates.initial,
-        "theta_min": estimates.lower,
-        "theta_max": estimates.upper,
-    }
+    known, rubbing = found.known, found.known.friction
+    numerator, denominator = map(list, known.model)
     valve: Values = {
         "valve": "custom",
         "numerator": numerator,
         "denominator": denominator,
         "gain_scale": 1.0,
         "flow_force": 0.0,
-        "lvdt.noise": _rounded(known.lvdt.noise),
-        "lvdt.resolution": _rounded(known.lvdt.resolution),
+        "lvdt.noise": known.lvdt.noise,
+        "lvdt.resolution": known.lvdt.resolution,
     }
-    if late:
-        valve["lvdt.delay"] = _rounded(known.delay)
-    if known.friction is not None:
-        valve["friction.coulomb"] = _rounded(known.friction.coulomb)
+    if known.delay > 0.0:
+        valve["lvdt.delay"] = known.delay
+    if rubbing is not None:
+        valve["friction.coulomb"] = rubbing.coulomb
         valve["friction.static_ratio"] = 1.0
-        valve["friction.presliding"] = _rounded(known.friction.presliding)
-        valve["disturbance.offset"] = _rounded(known.friction.offset)
+        valve["friction.presliding"] = rubbing.presliding
+        valve["disturbance.offset"] = rubbing.offset
     controller: Values = {
         "compensator.design": "designed",
         "compensator.model": "custom",
         "compensator.numerator": numerator,
         "compensator.denominator": denominator,
-        "open_loop.static_gain": _rounded(model.static_gain),
+        "open_loop.static_gain": known.model.static_gain,
     }
     for law in ADAPTIVE:
-        controller.update({f"{law}.{name}": list(values) for name, values in bounds.items()})
-    controller.update(gains)
-    return with_period({"valve_simulator": valve, "controller": controller}, known.period)
+        controller.update(known.theta.parameters(law))
+    controller.update(found.gains)
+    return with_period({"valve_simulator": rounded(valve), "controller": rounded(controller)}, known.period)
 
 
 def with_period(tree: dict[str, Values], period: float) -> dict[str, Values]:
     """``tree`` with the sample period [s] for all nodes, unless it is the default."""
     if period == defaults(NODES["controller"])["sample_period"]:
         return tree
-    return {"": {"sample_period": _rounded(period)}, **tree}
+    return {"": rounded({"sample_period": period}), **tree}
 
 
 def check_parameters(tree: dict[str, Values]) -> None:
     """Raise ParameterError unless controller and simulator accept these parameters."""
-    common = tree.get("", {})
-    makers: dict[str, Callable[[Values], Any]] = {
-        "valve_simulator": build.valve_params,
-        "controller": build.law_params,
-    }
-    for node, make in makers.items():
-        make(updated(NODES[node], defaults(NODES[node]), {**common, **tree.get(node, {})}))
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.10g}")
+    for node, make in (("valve_simulator", build.valve_params), ("controller", build.law_params)):
+        changes = {**tree.get("", {}), **tree.get(node, {})}
+        make(updated(NODES[node], defaults(NODES[node]), changes))
 
 
 def yaml_text(found: Identification) -> str:
     """A ROS 2 parameter file of ``parameters``."""
-    made = found.best
-    return parameter_file(
-        parameters(found),
-        [
+    if not found.fits:
+        comments = [
+            f"Given: {found.source}",
+            "arc, oarc: bounds for 0.67 to 1.5 times the gain and 0.8 to 1.25 times the speed.",
+        ]
+    else:
+        best = found.fits[-1]
+        bounds = "with 95 % bounds:" if best.bounded else "(the test does not tell their bounds):"
+        comments = [
             f"Identified from: {found.source}",
-            f"Order {made.order}, fit error {100 * made.error:.3g} % rms; coefficients "
-            + ("with 95 % bounds:" if made.bounded else "(the test does not tell their bounds):"),
-            *(
-                f"  {name} = {value:.7g}" + (f" ± {bound:.2g}" if made.bounded else "")
-                for name, value, bound in zip(made.names, made.values, made.bounds, strict=True)
-            ),
+            f"Order {best.order}, fit error {100 * best.error:.3g} % rms; coefficients {bounds}",
+            *_coefficients(best, "  {0} = {1:.7g} ± {2:.2g}"),
             "arc, oarc: the second-order fit to begin with; bounds from its confidence and from how far it",
             "is from the higher order over several bands of frequency.",
-            *STABLE,
-        ],
-    )
+        ]
+    return parameter_file(parameters(found), [*comments, *STABLE])
 
 
 def linearisation_text(found: Identification) -> str:
@@ -256,14 +224,9 @@ def linearisation_text(found: Identification) -> str:
     Raises ParameterError if there is none.
     """
     assert found.curve is not None
-    made = characteristic.parameters(found.curve, found.best.model.static_gain, found.u_max)
-    values = {
-        name: [_rounded(float(v)) for v in value] if isinstance(value, list) else value
-        for name, value in made.items()
-    }
-    values["linearisation.gain"] = _rounded(found.best.model.static_gain)
+    values = characteristic.parameters(found.curve, found.known.model.static_gain, found.known.u_max)
     return parameter_file(
-        {"controller": values},  # type: ignore[dict-item]
+        {"controller": rounded(values)},
         [
             f"Inverse of the static curve, from: {found.source}",
             *characteristic.text(found.curve).splitlines(),
@@ -285,91 +248,87 @@ def read_model(path: str) -> TransferFunction:
     return build.valve_model(updated(NODES["valve_simulator"], defaults(NODES["valve_simulator"]), valve))
 
 
-def corners_dict(found: Corners) -> dict[str, float | None]:
-    """Corners for JSON."""
+def _corners_dict(found: Corners) -> dict[str, float | None]:
     return {"minus_3db_hz": found.minus_3db, "minus_90_hz": found.minus_90}
 
 
-def theta_dict(found: Suggestion) -> dict[str, list[float]]:
-    """Estimates and their bounds for JSON."""
-    return {"initial": found.initial, "min": found.lower, "max": found.upper}
-
-
-def fit_dict(made: Fit, measured: Response) -> dict[str, Any]:
+def fit_dict(fit: Fit, measured: Response) -> dict[str, Any]:
     """One fit to ``measured`` for JSON; a corner that the test did not excite is None."""
+    bounds = fit.bounds.tolist() if fit.bounded else [None] * len(fit.names)
+    rows = zip(fit.names, fit.values.tolist(), bounds, strict=True)
     return {
-        "order": made.order,
-        "numerator": list(made.model.numerator),
-        "denominator": list(made.model.denominator),
-        "delay_s": made.delay,
-        "coefficients": {
-            name: {"value": float(value), "bound": float(bound) if made.bounded else None}
-            for name, value, bound in zip(made.names, made.values, made.bounds, strict=True)
-        },
+        "order": fit.order,
+        "numerator": list(fit.model.numerator),
+        "denominator": list(fit.model.denominator),
+        "delay_s": fit.delay,
+        "coefficients": {name: {"value": value, "bound": bound} for name, value, bound in rows},
         "static_gain": {
-            "value": made.model.static_gain,
-            "bound": made.gain_bound if made.bounded else None,
+            "value": fit.model.static_gain,
+            "bound": fit.gain_bound if fit.bounded else None,
         },
-        "poles": [root._asdict() for root in bode.roots(made.model.denominator)],
-        "zeros": [root._asdict() for root in bode.roots(made.model.numerator)],
-        "error": made.error,
-        "model_error": made.model_error,
-        **corners_dict(_corners(made, measured)),
+        "poles": [root._asdict() for root in bode.roots(fit.model.denominator)],
+        "zeros": [root._asdict() for root in bode.roots(fit.model.numerator)],
+        "error": fit.error,
+        "model_error": fit.model_error,
+        **_corners_dict(_corners(fit, measured)),
     }
 
 
 def as_dict(found: Identification) -> dict[str, Any]:
     """The whole identification for JSON."""
-    m = found.measured
-    return {
-        "source": found.source,
-        "sample_period": m.period,
-        "u_max": found.u_max,
-        "response": {
+    known, m = found.known, found.measured
+    about: dict[str, Any] = {"source": found.source, "sample_period": known.period, "u_max": known.u_max}
+    if m is None:
+        about["model"] = {
+            "numerator": list(known.model.numerator),
+            "denominator": list(known.model.denominator),
+            "delay_s": known.delay,
+            "static_gain": known.model.static_gain,
+            **_corners_dict(bode.model_corners(known.model, known.delay)),
+        }
+    else:
+        about["response"] = {
             "method": m.method,
             "frequency_hz": m.frequency,
             "real": m.value.real,
             "imaginary": m.value.imag,
             "deviation": m.deviation,
             "coherence": m.coherence,
-            **corners_dict(rational.measured_corners(m, found.best.model.static_gain)),
-        },
-        "fits": [fit_dict(made, m) for made in found.fits],
-        "best_order": found.best.order,
-        "theta": theta_dict(found.theta),
-        "lvdt": found.lvdt._asdict(),
-        **({} if found.friction is None else {"friction": found.friction._asdict()}),
-        **({} if found.curve is None else {"characteristic": characteristic.as_dict(found.curve)}),
-        "gains": found.gains,
-        "notes": list(found.notes),
-    }
+            **_corners_dict(rational.measured_corners(m, known.model.static_gain)),
+        }
+        about["fits"] = [fit_dict(fit, m) for fit in found.fits]
+        about["best_order"] = found.fits[-1].order
+    estimates = known.theta
+    about["theta"] = {"initial": estimates.initial, "min": estimates.lower, "max": estimates.upper}
+    about["lvdt"] = known.lvdt._asdict()
+    if known.friction is not None:
+        about["friction"] = known.friction._asdict()
+    if found.curve is not None:
+        about["characteristic"] = characteristic.as_dict(found.curve)
+    return {**about, "gains": found.gains, "notes": list(found.notes)}
 
 
 def bode_figure(found: Identification, path: str) -> bytes:
     """Draw the measured response with 95 % error bars and the fits, as the file ``path``."""
-    m = found.measured
+    measured = found.measured
+    assert measured is not None
     figure, top, bottom = bode_axes(found.source, "position over voltage [dB]")
-    share = 1.96 * m.deviation / np.abs(m.value)
-    size = bode.decibels(m.value)
+    share = 1.96 * measured.deviation / np.abs(measured.value)
     bar = np.vstack([-20.0 * np.log10(np.maximum(1.0 - share, 0.05)), 20.0 * np.log10(1.0 + share)])
-    turn = bode.degrees(m.value)
-    style = {
-        "fmt": "o",
-        "ms": 4,
-        "color": "black",
-        "lw": 1.0,
-        "capsize": 2,
-        "label": f"measured ({m.method})",
-    }
-    top.errorbar(m.frequency, size, yerr=bar, **style)
-    bottom.errorbar(m.frequency, turn, yerr=np.degrees(np.minimum(share, np.pi)), **style)
+    turn = np.degrees(np.minimum(share, np.pi))
+    label = f"measured ({measured.method})"
+    for axes, read, bars in ((top, bode.decibels, bar), (bottom, bode.degrees, turn)):
+        axes.errorbar(
+            measured.frequency, read(measured.value), yerr=bars,
+            fmt="o", ms=4, color="black", lw=1.0, capsize=2, label=label,
+        )  # fmt: skip
     share_axis = top.twinx()
-    share_axis.plot(m.frequency, m.coherence, ".--", ms=3, lw=0.8, color="gray")
+    share_axis.plot(measured.frequency, measured.coherence, ".--", ms=3, lw=0.8, color="gray")
     share_axis.set(ylabel="coherence (gray)", ylim=(0.0, 1.05))
-    frequency = np.geomspace(m.frequency[0], m.frequency[-1], 500)
-    for made, colour in zip(found.fits, COLOURS, strict=False):
-        value = bode.held_response(made.model, frequency, m.period, made.delay)
-        label = f"order {made.order}, error {100 * made.error:.2g} %"
+    frequency = np.geomspace(measured.frequency[0], measured.frequency[-1], 500)
+    for fit, colour in zip(found.fits, COLOURS, strict=False):
+        value = bode.held_response(fit.model, frequency, measured.period, fit.delay)
+        label = f"order {fit.order}, error {100 * fit.error:.2g} %"
         top.semilogx(frequency, bode.decibels(value), color=colour, label=label)
         bottom.semilogx(frequency, bode.degrees(value), color=colour, label=label)
     top.legend(loc="lower left")

@@ -14,7 +14,7 @@ itself beside it.
 from itertools import groupby
 from typing import NamedTuple
 
-from valve_control.design.identification.rational import Fit, check_clear, check_worth, criterion, fit
+from valve_control.design.identification.rational import Fit, check_worth, criterion, fit, is_clear
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
 
@@ -23,80 +23,43 @@ NEAR = 6.0  # of the criterion, within which the simplest candidate counts
 
 
 class Candidate(NamedTuple):
-    """One structure of a model."""
+    """One structure of a model, and what the response says of it."""
 
     poles: int
     zeros: int
     late: bool  # with a dead time
-
-    @property
-    def unknowns(self) -> int:
-        """Coefficients and dead time."""
-        return self.poles + self.zeros + 1 + self.late
-
-
-class Scored(NamedTuple):
-    """A candidate and what the response says of it."""
-
-    form: Candidate
     criterion: float  # BIC, less is better
     model_error: float  # relative error that noise does not explain
 
 
-def candidates(delayed: bool | None) -> list[Candidate]:
-    """All candidates, the simplest first; ``delayed``: without or with a dead time, None: both."""
-    late = (False, True) if delayed is None else (delayed,)
-    return sorted((Candidate(*form, d) for form in FORMS for d in late), key=lambda c: c.unknowns)
-
-
-def choose(measured: Response, delayed: bool | None = None) -> Fit:
-    """The simplest of the candidates nearest to ``measured``; ``delayed`` as for ``candidates``.
+def choose(measured: Response, delayed: bool = False) -> Fit:
+    """The simplest of the candidates nearest to ``measured``; ``delayed``: with a dead time in any case.
 
     Candidates with more unknowns are tried until noise alone explains what one leaves. One whose
     coefficients are not in the data gives way to the next best. Raises ParameterError if none is left.
     """
-    tried: list[Scored] = []
-    refusals: list[str] = []
-    for _, level in groupby(candidates(delayed), key=lambda c: c.unknowns):
-        for form in level:
+    forms = [(*form, late) for form in FORMS for late in ((True,) if delayed else (False, True))]
+    tried: list[Candidate] = []
+    refusals: list[ParameterError] = []
+    for _, level in groupby(sorted(forms, key=sum), key=sum):  # the number of unknowns, less 1
+        for poles, zeros, late in level:
             try:
-                tried.append(Scored(form, *criterion(measured, *form)))
+                tried.append(Candidate(poles, zeros, late, *criterion(measured, poles, zeros, late)))
             except ParameterError as error:
-                refusals.append(str(error))
+                refusals.append(error)
         if any(one.model_error == 0.0 for one in tried):
             break
     while tried:
-        best = simplest(tried)
+        # Of the nearest: fewest zeros, then fewest poles, then no dead time.
+        least = min(one.criterion for one in tried)
+        near = [one for one in tried if one.criterion <= least + NEAR or one.model_error == 0.0]
+        best = min(near, key=lambda one: (one.zeros, one.poles, one.late))
         tried.remove(best)
         try:
-            fitted = fit(measured, best.form.poles, best.form.zeros, best.form.late)
+            fitted = fit(measured, best.poles, best.zeros, best.late)
             check_worth(fitted)
-            if fitted.order > 2:
-                check_clear(fitted)
-            return fitted
+            if is_clear(fitted):
+                return fitted
         except ParameterError as error:
-            refusals.append(str(error))
-    raise ParameterError(refusals[0])
-
-
-def simplest(tried: list[Scored]) -> Scored:
-    """Of the nearest: fewest zeros, then fewest poles, then no dead time.
-
-    Near are those within NEAR of the least criterion, and those that leave no more than noise.
-    """
-    least = min(one.criterion for one in tried)
-    near = [one for one in tried if one.criterion <= least + NEAR or one.model_error == 0.0]
-    return min(near, key=lambda one: (one.form.zeros, one.form.poles, one.form.late))
-
-
-def beside(measured: Response, second: Fit, delayed: bool = False) -> tuple[Fit | None, str]:
-    """The model that stands for the valve beside the ``second`` order, or None and why there is none.
-
-    ``delayed``: it has a dead time in any case. Raises ParameterError if nothing can be fitted.
-    """
-    if second.model_error == 0.0:
-        return None, "noise alone explains what the second order leaves, so no higher order is fitted"
-    best = choose(measured, True if delayed else None)
-    if best.names != second.names:
-        return best, ""
-    return None, "the second order stands alone: more poles explain no more of the response than chance does"
+            refusals.append(error)
+    raise refusals[0]

@@ -11,12 +11,13 @@ from valve_control.control.plant.models import TransferFunction
 from valve_control.design.identification.bode import held_response
 from valve_control.design.identification.rational import Fit, fit
 from valve_control.design.identification.response import Response
-from valve_control.parameter import ParameterError
+from valve_control.parameter import ParameterError, Values
 
 BANDS = (1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0)  # times the frequency of -90°
 GAINS = (0.67, 1.5)  # of a valve over that of its model, 3.5 dB
 SPEEDS = (0.8, 1.25)  # likewise
 MARGIN = 1.25  # factor beyond what was found, for what a test on one day does not show
+LEAST = 0.2  # of the estimate: an interval wider than the estimate says nothing about its lower end
 OFFSET = 0.5  # of u_max, the constant disturbance that the estimates can take up
 
 
@@ -26,6 +27,11 @@ class Suggestion(NamedTuple):
     initial: list[float]
     lower: list[float]
     upper: list[float]
+
+    def parameters(self, law: str) -> Values:
+        """Parameters of an adaptive ``law``."""
+        names = ("theta_initial", "theta_min", "theta_max")
+        return {f"{law}.{name}": list(values) for name, values in zip(names, self, strict=True)}
 
 
 def suggest(measured: Response, second: Fit, best: Fit, u_max: float) -> Suggestion:
@@ -43,18 +49,11 @@ def suggest(measured: Response, second: Fit, best: Fit, u_max: float) -> Suggest
         )
     centre = np.array([a1, a0, b0])
     spread = second.bounds[[1, 2, 0]]
-    seen = [centre, centre - spread, centre + spread]
+    models = [centre, centre - spread, centre + spread]
     if best.order > 2 and best.corners.minus_90 is not None:
         for factor in BANDS:
-            made = _up_to(measured, best, factor * best.corners.minus_90)
-            if made is not None:
-                seen.append(made)
-    lower = np.min(seen, axis=0) / MARGIN
-    upper = np.max(seen, axis=0) * MARGIN
-    # An interval wider than the estimate itself says nothing about its lower end.
-    lower = np.maximum(lower, 0.2 * centre)
-    offset = OFFSET * u_max * b0
-    return Suggestion(_rounded([*centre, 0.0]), _rounded([*lower, -offset]), _rounded([*upper, offset]))
+            models += _up_to(measured, best, factor * best.corners.minus_90)
+    return _bounded(centre, models, u_max)
 
 
 def around(model: TransferFunction, u_max: float) -> Suggestion:
@@ -63,19 +62,24 @@ def around(model: TransferFunction, u_max: float) -> Suggestion:
     These have GAINS times its gain and SPEEDS times its speed, with the margin that measured ones get too.
     """
     (b0,), (_, a1, a0) = model
-    corners = [[a1 * s, a0 * s**2, b0 * g * s**2] for g in GAINS for s in SPEEDS]
-    lower = np.min(corners, axis=0) / MARGIN
-    upper = np.max(corners, axis=0) * MARGIN
-    offset = OFFSET * u_max * b0
-    return Suggestion(_rounded([a1, a0, b0, 0.0]), _rounded([*lower, -offset]), _rounded([*upper, offset]))
+    corners = [np.array([a1 * s, a0 * s**2, b0 * g * s**2]) for g in GAINS for s in SPEEDS]
+    return _bounded(np.array([a1, a0, b0]), corners, u_max)
 
 
-def _up_to(measured: Response, best: Fit, highest: float) -> Floats | None:
-    """a1, a0, b0 of the second-order model nearest to ``best`` up to ``highest`` [Hz]."""
+def _bounded(centre: Floats, models: list[Floats], u_max: float) -> Suggestion:
+    """Estimates that begin at ``centre`` (a1, a0, b0) and hold all ``models``."""
+    lower = np.maximum(np.min(models, axis=0) / MARGIN, LEAST * centre)
+    offset = OFFSET * u_max * float(centre[2])
+    rows = ([*centre, 0.0], [*lower, -offset], [*(np.max(models, axis=0) * MARGIN), offset])
+    return Suggestion(*([float(f"{v:.6g}") for v in row] for row in rows))
+
+
+def _up_to(measured: Response, best: Fit, highest: float) -> list[Floats]:
+    """a1, a0, b0 of the second-order model nearest to ``best`` up to ``highest`` [Hz]; empty: none is."""
     lowest = float(measured.frequency[0])
     highest = min(highest, float(measured.frequency[-1]))
     if highest <= 3.0 * lowest:
-        return None
+        return []
     frequency = np.geomspace(lowest, highest, 30)
     value = held_response(best.model, frequency, measured.period)
     exact = Response(
@@ -84,9 +88,5 @@ def _up_to(measured: Response, best: Fit, highest: float) -> Floats | None:
     try:
         b0, a1, a0 = fit(exact, 2, relative=True).values
     except ParameterError:
-        return None
-    return np.array([a1, a0, b0])
-
-
-def _rounded(values: list[float]) -> list[float]:
-    return [float(f"{v:.6g}") for v in values]
+        return []
+    return [np.array([a1, a0, b0])]
