@@ -120,7 +120,7 @@ def test_the_modes_of_a_recorded_campaign_are_those_that_were_said(ros, tmp_path
     zero = voltage.value == 0.0
     assert np.count_nonzero(safe & run) > 50
     assert np.count_nonzero((safe != zero) & run) < 0.05 * np.count_nonzero(run)
-    text = analysis_report.text(result)
+    text = analysis_report.of_bag(result, {}).text
     assert about["safe"]["intervals"] >= 3 and f"safe {about['safe']['intervals']} times" in text
     for _, name, value, *_ in FAULTS:
         assert f"{name} = {value} (at " in text or name == "fault.command"
@@ -138,4 +138,7 @@ def test_the_rate_of_recorded_readings_is_measured(ros, tmp_path, period):
     about = as_dict(result)["valves"]["valve"]["lvdt_period"]
     assert about["measured_s"] == pytest.approx(period, rel=0.01) and about["sample_period_s"] == 0.001
     found = about["measured_s"] * 1e3
-    assert f"LVDT readings come every {found:.4g} ms, sample_period is 1 ms" in analysis_report.text(result)
+    assert (
+        f"LVDT readings come every {found:.4g} ms, sample_period is 1 ms"
+        in analysis_report.of_bag(result, {}).text
+    )
