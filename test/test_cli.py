@@ -51,17 +51,6 @@ def test_command_from_csv_and_npy_and_all_outputs(run, tmp_path):
     assert json.loads(from_npy.out) == json.loads(files["json"].read_text())
 
 
-def test_no_term_of_a_law_hides_a_signal(run, tmp_path):
-    """A bias of the LVDT moves the true position by as much, and the estimate not at all."""
-    path = tmp_path / "traces.npz"
-    done = run("simulate", "--controller", "dcarc", "--scenario", "constant", "--duration", "1",
-               "--set", "lvdt.bias=0.5", "--npz", path)  # fmt: skip
-    assert done.status == 0, done.err
-    with np.load(path) as traces:
-        assert abs(traces["position"][-1] + 0.5) < 0.01
-        assert abs(traces["dcarc.position"][-1]) < 0.01
-
-
 def test_commands_come_offline_as_a_node_would_get_them(run):
     def e_rms(*options):
         done = run("simulate", "--scenario", "sine", "--duration", "2", "--json", "-", *options)

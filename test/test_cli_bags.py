@@ -56,12 +56,6 @@ def test_analyze_writes_everything_it_says(run, bags, tmp_path):
     assert "Plotly.newPlot" in text and "b0dn" in text and "bound of V2" in text
 
 
-def test_json_on_standard_output_alone(run, bags):
-    done = run("analyze", bags / "both", "--json", "-")
-    assert done.status == 0, done.err
-    assert set(json.loads(done.out)["valves"]) == {"boom", "arm"}
-
-
 def test_an_expectation_that_is_not_met_is_the_exit_status(run, bags):
     done = run("analyze", bags / "arc", "--expect", "e_rms<1e-6")
     assert done.status == 1 and "NOT MET: e_rms<1e-6" in done.out

@@ -26,17 +26,6 @@ def test_compare_runs_each_law_with_its_own_file(order, run):
         assert compared[law] == json.loads(run("simulate", *usual, *own)[1])["indices"], law
 
 
-def test_compare_takes_a_file_of_several_laws_for_all(run, tmp_path):
-    text = "/**/controller:\n  ros__parameters: {controller: arc, pid: {kp: 4.0}, reshaping: {lead: 0.001}}\n"
-    (tmp_path / "saved.yaml").write_text(text)
-    status, out, _ = run("compare", "--params-file", "saved.yaml", "--duration", "1.0", "--json", "-")
-    assert status == 0
-    compared = {r["controller"]: r["indices"] for r in json.loads(out)["runs"]}
-    direct = ("--controller", "pid", "--set", "pid.kp=4.0", "--set", "reshaping.lead=0.001")
-    alone = run("simulate", *direct, "--duration", "1.0", "--json", "-")[1]
-    assert compared["pid"] == json.loads(alone)["indices"]
-
-
 @pytest.mark.parametrize(
     "other",
     [

@@ -11,18 +11,6 @@ from valve_control.control.analysis.page import envelope, figure, page, table
 from valve_control.control.analysis.spectra import spectrum
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.integers(1, 30_000), st.integers(0, 2**32 - 1))
-def test_envelope_keeps_extremes_and_ends(count, seed):
-    x = np.arange(float(count))
-    y = np.random.default_rng(seed).standard_normal(count)
-    ex, ey = envelope(x, y, 1000)
-    assert len(ex) <= 1000 or count <= 1000
-    assert ey.max() == y.max() and ey.min() == y.min()
-    assert ex[0] == x[0] and ex[-1] == x[-1] and np.all(np.diff(ex) > 0)
-    assert np.array_equal(ey, y[ex.astype(int)])
-
-
 def test_page_is_whole_and_loads_nothing():
     plot = Plot("error [V]", [Line("a", np.arange(10.0), np.arange(10.0))])
     text = page("report <1>", {"Figures": figure([plot], "time [s]"), "Table": table(["a"], [["<b>"]])})

@@ -71,8 +71,3 @@ def test_readings_that_share_their_stamps_have_no_period(numbered):
     time = np.maximum(0, np.arange(2400) - 1500) * 1_000_000
     sequence = np.arange(2400) if numbered else np.zeros(2400, dtype=np.int64)
     assert np.isnan(true_period(time, sequence))
-
-
-def test_a_publisher_that_began_anew_has_its_period():
-    time, sequence = readings(count=4000)
-    assert true_period(time, np.where(sequence < 2500, sequence + 1, sequence - 2499)) == pytest.approx(1e-3)

@@ -26,7 +26,7 @@ def run(p, theta, begin, shake, disturbance, samples, substeps):
     """Rows of V, z1, z2, z3, the opening, the estimates' part, and what keeps V from falling (part A)."""
     rows = np.zeros((samples, 7))
     m = p.model
-    s = axis_arc.initial(begin)
+    s = begin
     x = 0.25
     v = 0.0
     pa = 50e5
@@ -50,10 +50,10 @@ def run(p, theta, begin, shake, disturbance, samples, substeps):
             g2 += c2 * y + 2.0 * c1 * y1 + c * y2
             g3 += c3 * y + 3.0 * c2 * y1 + 3.0 * c1 * y2 + c * y3
         goal = Goal(0.25 + g, g1, g2)
-        t0 = s.theta
+        t0 = s
         command, s, terms = axis_arc.step(p, s, goal, g3, Measured(x, v, pa, pb))
         opening = command / p.full_scale
-        e = s.theta
+        e = s
         off = (
             (e.mobility - theta.mobility) ** 2 / p.gamma.mobility
             + (e.damping - theta.damping) ** 2 / p.gamma.damping
@@ -158,7 +158,7 @@ def rate_of_energy(seed):
     pa, pb = 40e5, random.uniform(20e5, 60e5)
     goal = Goal(x + random.normal(0.0, 0.002), v + random.normal(0.0, 0.02), random.uniform(-2.0, 2.0))
     jerk, d = random.uniform(-40.0, 40.0), random.normal(0.0, 0.5)
-    off = axis_arc.step(p, axis_arc.initial(begin), goal, jerk, Measured(x, v, pa, pb))[2].z3
+    off = axis_arc.step(p, begin, goal, jerk, Measured(x, v, pa, pb))[2].z3
     pa = min(max(pa - off / m.area_a + random.normal(0.0, 2e5), 5e5), m.supply - 5e5)
     sign = math.tanh(v / p.friction_velocity)
     force = m.area_a * pa - m.area_b * pb
@@ -166,7 +166,7 @@ def rate_of_energy(seed):
 
     def difference(h):
         law = p._replace(period=h)
-        _, s, one = axis_arc.step(law, axis_arc.initial(begin), goal, jerk, Measured(x, v, pa, pb))
+        _, s, one = axis_arc.step(law, begin, goal, jerk, Measured(x, v, pa, pb))
         flows = (
             ((m.flow_pa, m.supply - pa), (m.flow_bt, pb - m.tank))
             if one.opening > 0.0
@@ -182,7 +182,7 @@ def rate_of_energy(seed):
         )
         later = Measured(x + h * v, v + h * a, pa + h * rate_a, pb + h * rate_b)
         after = axis_arc.step(law, s, then, jerk, later)[2]
-        return (energy(p, theta, s.theta, after) - energy(p, theta, begin, one)) / h, one
+        return (energy(p, theta, s, after) - energy(p, theta, begin, one)) / h, one
 
     h = 1e-8
     (whole, one), (half, _) = difference(h), difference(0.5 * h)

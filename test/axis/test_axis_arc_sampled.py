@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.axis import axis_arc, run
 from valve_control.axis import axis_arc_sampled as level
 from valve_control.axis import axis_parameters as parameters
+from valve_control.axis import run
 from valve_control.axis.axis_arc import Theta
 from valve_control.axis.axis_parameters import AXIS, AXIS_CONTROLLER, AXIS_NODES
 from valve_control.axis.course import Goal
 from valve_control.axis.machine import Reading
-from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameter import defaults, updated
 
 SWIFT = 2.0 * math.pi * 300.0  # rad/s  of a valve that hardly matters
 
@@ -40,7 +40,7 @@ def test_the_observer_has_three_equal_poles():
 
     def after(position, velocity, unexplained):
         s = level.initial(p)._replace(
-            arc=axis_arc.State(none),
+            theta=none,
             samples=1.0,
             position=position,
             velocity=velocity,
@@ -70,18 +70,6 @@ def test_the_observer_finds_velocity_and_what_the_estimates_do_not_explain():
     assert explained + s.unexplained == pytest.approx(0.3, abs=0.02)
 
 
-@given(*[st.floats(-1.0, 1.0)] * 4, st.floats(0.0, 0.05))
-def test_the_goal_ahead_is_that_of_constant_jerk(x, v, a, jerk, lead):
-    goal = Goal(x, v, a)
-    many = goal
-    for _ in range(1000):
-        many = level.ahead(lead / 1000.0, many, jerk)
-    assert level.ahead(lead, goal, jerk) == pytest.approx(many, abs=1e-12)
-    assert level.ahead(lead, goal, jerk).position == pytest.approx(
-        x + v * lead + a * lead**2 / 2.0 + jerk * lead**3 / 6.0, abs=1e-12
-    )
-
-
 finite = st.floats(-1e3, 1e3)
 
 
@@ -97,7 +85,7 @@ def test_whatever_the_sensors_say_command_and_estimates_keep_their_limits(rows):
         goal = Goal(position, velocity, acceleration)
         command, s, terms = level.step(p, s, goal, Reading(0.0, reading, a, b))
         assert abs(command) <= 7.0 and terms.spool == command and terms.error == position - reading
-        for value, low, high in zip(s.arc.theta, p.law.low, p.law.high, strict=True):
+        for value, low, high in zip(s.theta, p.law.low, p.law.high, strict=True):
             assert low <= value <= high
         told = level.estimates(s)
         assert all(math.isfinite(number) for number in told.values()) and told["mass_kg"] > 0.0
@@ -183,41 +171,3 @@ def test_the_lead_makes_up_for_the_valves_lag():
         valve = parameters.build.valve_params(values)
         errors.append(run.simulate(made._replace(machine=made.machine._replace(valve=valve))).indices.e_rms)
     assert errors[1] < 0.2 * errors[0]
-
-
-def test_the_spools_velocity_is_that_of_the_course():
-    """Where it moves as wanted, the command's rate is that of h·v/q, here by the difference of commands."""
-    p = built(k1=10.0, lead=0.0)
-    m = p.law.model
-    commands, rates = [], []
-    for v in (0.1, 0.1 + 1e-4):
-        force = (p.begin.damping * v + p.begin.friction - p.begin.force) / p.begin.mobility
-        a = (force + 70e5 * m.area_b) / m.area_a
-        s = level.initial(p)._replace(
-            samples=1.0, position=0.2, velocity=v, pressure_a=a, pressure_b=70e5, acceleration=0.0
-        )
-        goal = Goal(0.2, v, 0.0)
-        x = axis_arc.Measured(0.2, v, a, 70e5)
-        command, arc, _ = axis_arc.step(p.law, s.arc, goal, 0.0, x)
-        commands.append(command)
-        terms = level.AT_REST._replace(spool=command)
-        rates.append(level.motion(p, s._replace(arc=arc), Goal(0.2, v, 2.0), 5.0, terms))
-    assert rates[0].position == commands[0]
-    assert rates[0].velocity == pytest.approx(2.0 * (commands[1] - commands[0]) / 1e-4, rel=0.03)
-    assert rates[0].acceleration == pytest.approx(2.5 * rates[0].velocity)
-    at_limit = level.AT_REST._replace(spool=p.law.limit)
-    assert level.motion(p, s, Goal(0.2, 0.1, 2.0), 5.0, at_limit)[1:] == (0.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("machine", "own"),
-    [
-        ({}, {"k3": 800.0}), ({"load.mass": 5.0}, {}), ({"load.damping": 2e5}, {}),
-        ({"load.force": -1e6}, {}),
-        ({}, {"overlap": 12.0, "spool_limit": 20.0}),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_sampled_is_refused_in_one_sentence(machine, own):
-    with pytest.raises(ParameterError) as error:
-        built(machine, **own)
-    assert "\n" not in str(error.value)

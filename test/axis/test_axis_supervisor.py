@@ -56,40 +56,6 @@ def test_without_a_goal_it_holds_the_first_position_and_follows_a_path_to_the_la
     assert supervisor.mode(s) == (Mode.OK, "holds its position")
 
 
-def test_a_load_that_pushes_the_piston_away_meets_the_command_back_to_the_position_that_is_held():
-    p, able = designed()
-    s = sample(p, supervisor.at_rest(p), 0.2, 1)
-    first = s.goal
-    for k in range(2, 102):  # 0.1 mm per sample, before any goal
-        s = sample(p, s, 0.2 + 1e-4 * (k - 1), k)
-    assert s.goal == first and s.command < 0.0
-    s = supervisor.begin(s, path.towards(0.25, s.goal, LIMITS, able), None)
-    for k in range(102, 2000):  # longer than the path; the piston stays behind
-        s = sample(p, s, min(0.24, 0.21 + 1e-4 * (k - 101)), k)
-    assert s.path is None and s.goal is not None
-    assert s.goal.position == pytest.approx(0.25, abs=1e-9) and s.command > 0.0
-
-
-def streamed(p, able, every, samples):
-    """Positions of the goal of an axis that is told the same target before each ``every``-th sample."""
-    s, found = sample(p, supervisor.at_rest(p), 0.2, 1), []
-    for k in range(samples):
-        if k % every == 0:
-            s = supervisor.begin(s, path.towards(0.3, supervisor.present(s), LIMITS, able), None)
-        s = sample(p, s, s.goal.position, k + 2)
-        found.append(s.goal.position)
-    return np.array(found)
-
-
-def test_a_goal_that_is_sent_again_and_again_is_reached_as_fast_as_one_that_is_sent_once():
-    p, able = designed()
-    once = streamed(p, able, 10**6, 800)
-    assert once[-1] == pytest.approx(0.3, abs=1e-9)
-    lost = LIMITS.velocity * p.period  # m  by a sample that is lost at full speed
-    for every in (1, 10):
-        assert np.max(np.abs(streamed(p, able, every, 800) - once)) < 0.1 * lost
-
-
 def test_a_trajectory_that_begins_later_leaves_the_motion_before_it_alone_until_then():
     p, able = designed()
     s = under_way(p, able, 302)
@@ -157,47 +123,6 @@ def test_wrong_readings_never_reach_the_upper_level_and_too_many_in_a_row_stop_i
         assert supervisor.mode(s)[0] is (Mode.SAFE if expected else Mode.DEGRADED if in_a_row else Mode.OK)
 
 
-LOST = "lost on the way"
-
-
-@pytest.mark.parametrize("missing", [math.nan, LOST])
-def test_the_velocity_that_axis_arc_observes_goes_on_while_readings_are_missing(missing):
-    p, _ = designed(upper_level="axis_arc", sensor__hold_samples=3, error_limit=0.0)
-    s = supervisor.at_rest(p)
-    for k in range(1, 500):
-        position = missing if 400 <= k < 403 else 0.2 + 0.1 * k * p.period
-        if position != LOST:
-            s = supervisor.sample(p, s, Reading(math.nan, position, 50e5, 80e5), k * MS)
-            assert k < 390 or s.upper.velocity == pytest.approx(0.1, rel=1e-3)
-
-
-@pytest.mark.parametrize("missing", [math.nan, LOST])
-def test_the_rate_of_the_error_that_axis_pid_computes_goes_on_while_readings_are_missing(missing):
-    """The axis runs away from its goal at 0.01 m/s."""
-    p, _ = designed(sensor__hold_samples=3, error_limit=0.0)
-    s = sample(p, supervisor.at_rest(p), 0.2, 1)
-    for k in range(2, 500):
-        position = missing if 400 <= k < 403 else 0.2 + 0.01 * k * p.period
-        if position != LOST:
-            s = sample(p, s, position, k)
-            assert k < 390 or s.upper.error.velocity == pytest.approx(-0.01, rel=1e-6)
-
-
-@pytest.mark.parametrize("missing", [math.nan, LOST])
-@pytest.mark.parametrize("number", [0, 1, 3])
-def test_the_jerk_behind_missing_readings_is_that_of_the_path(number, missing):
-    """For the first 50 ms of the path it is 40 m/s³."""
-    p, able = designed(sensor__hold_samples=3)
-    s = sample(p, supervisor.at_rest(p), 0.2, 1)
-    s = supervisor.begin(s, path.towards(0.3, s.goal, LIMITS, able), None)
-    for k in range(2, 30):
-        position = missing if 20 <= k < 20 + number else s.goal.position
-        if position == LOST:
-            continue
-        s = sample(p, s, position, k)
-        if k > 3 and not s.bridged:
-            assert s.jerk == pytest.approx(LIMITS.jerk, rel=1e-6)
-            assert supervisor.spool_motion(p, s).acceleration != 0.0
 
 
 def run_away(p, stamps, numbers):
@@ -262,14 +187,6 @@ def test_the_spools_velocity_and_acceleration_are_the_derivatives_of_its_command
         )
 
 
-@pytest.mark.parametrize(
-    "changes", [{"machine": ""}, {"machine": "benhc"}, {"sample_period": 0.002}, {"overlap": 20.0}]
-)
-def test_an_upper_level_that_cannot_be_is_refused(changes):
-    with pytest.raises(ParameterError):
-        designed(**changes)
-
-
 def test_with_pressures_that_cannot_be_believed_axis_arc_is_stopped_and_axis_pid_is_not():
     for level, stops in (("axis_pid", False), ("axis_arc", True)):
         p, _ = designed(upper_level=level, sensor__hold_samples=2)
@@ -289,47 +206,6 @@ def test_with_pressures_that_cannot_be_believed_axis_arc_is_stopped_and_axis_pid
 LEARNT = ("damping_Ns_m", "coulomb_N", "force_N", "bulk_modulus_Pa")
 
 
-def test_the_first_sample_of_axis_arc_is_that_of_an_axis_at_rest_after_each_reset():
-    p, _ = designed(upper_level="axis_arc")
-    readings = [Reading(math.nan, 0.2, 50e5, 80e5)] * 50
-    commands = []
-    s = supervisor.at_rest(p)
-    for _ in range(2):
-        for k, reading in enumerate(readings, 1):
-            s = supervisor.sample(p, s, reading, (s.samples + k) * MS)
-            commands.append(s.command)
-        s = supervisor.reset(p, s)
-    assert commands[:50] == commands[50:]
-
-
-def test_a_path_of_a_later_time_begins_then_and_the_axis_holds_its_position_until_then():
-    p, able = designed()
-    s = sample(p, supervisor.at_rest(p), 0.2, 1)
-    held = s.goal
-    s = supervisor.begin(s, path.towards(0.25, s.goal, LIMITS, able), 50 * MS)
-    for k in range(2, 50):
-        s = sample(p, s, 0.2, k)
-        assert s.goal == held and s.command == 0.0
-        assert supervisor.mode(s) == (Mode.OK, "follows its path")
-    for k in range(50, 60):
-        s = sample(p, s, 0.2, k)
-    assert s.goal.position > held.position and s.command > 0.0
-    motion = supervisor.spool_motion(p, s)
-    assert motion.position == s.command and motion.velocity > 0.0
-
-
-def test_a_refusal_is_reported_for_a_second_and_changes_no_command():
-    p, _ = designed()
-    s = sample(p, supervisor.at_rest(p), 0.2, 1)
-    s = supervisor.refused(p, s, "path refused")
-    samples = 0
-    while supervisor.mode(s) == (Mode.DEGRADED, "path refused"):
-        assert s.command == 0.0 and s.goal == (0.2, 0.0, 0.0)
-        samples += 1
-        s = sample(p, s, 0.2, samples + 1)
-    assert samples * p.period == pytest.approx(1.0) and supervisor.mode(s)[0] is Mode.OK
-
-
 def test_silence_stops_an_axis_that_has_been_seen_and_no_other():
     p, _ = designed()
     unseen = supervisor.at_rest(p)
@@ -339,19 +215,6 @@ def test_silence_stops_an_axis_that_has_been_seen_and_no_other():
     assert supervisor.mode(s) == (Mode.SAFE, "stopped, 0 V: silence")
     assert supervisor.spool_motion(p, s) == (0.0, 0.0, 0.0)
     assert supervisor.found(p, s, 0.3).goal == s.goal and sample(p, s, 0.2, 2).command == 0.0
-
-
-def test_readings_with_one_time_stamp_count_as_one_period_apart():
-    p, _ = designed()
-    runs = []
-    for stamps in ([1, 2, 3, 4], [1, 2, 2, 2]):
-        s = sample(p, supervisor.at_rest(p), 0.2, stamps[0])
-        steps = []
-        for k, position in zip(stamps[1:], (0.2001, 0.2002, 0.2003), strict=True):
-            s = sample(p, s, position, k)
-            steps.append((s.command, s.bridged, s.watch))
-        runs.append(steps)
-    assert runs[0] == runs[1]
 
 
 def test_a_path_that_began_a_moment_ago_replaces_the_one_in_motion_and_goes_on_from_there():

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from research.axes import hopsan, transmission_lines
+from research.axes import hopsan
 from valve_control.axis import axis
 from valve_control.axis.axis_parameters import AXIS, axis_params
 from valve_control.parameter import defaults
@@ -79,23 +79,6 @@ def test_with_smaller_steps_hopsans_method_comes_to_ours():
     assert np.max(found["position"]) < 0.01 and np.max(found["valve"]) < 0.01 and np.max(found["step"]) == 0.0
     assert np.max(found["relief"][rows[:, 0] < 1.0]) < 0.01
     assert np.mean(found["relief"] > 0.01) < 0.01
-
-
-def test_a_room_of_lines_is_a_spring_and_has_no_other_memory():
-    """Flows into a star of three lines: its mean pressure rises by β/V·∫q, whatever α is."""
-    volume, period, beta = 2e-4, 1e-4, 1e9
-    for damping in (0.0, 0.3):
-        z = 1.5 * beta / volume * period / (1.0 - damping)
-        c, pressure, total = np.full(3, 1e5), 0.0, 0.0
-        random = np.random.default_rng(3)
-        for _ in range(200):
-            q = random.normal(0.0, 1e-5, 3)
-            total += float(np.sum(q)) * period
-            transmission_lines.returned(c, q, z, damping)
-        for _ in range(200):  # at rest
-            transmission_lines.returned(c, np.zeros(3), z, damping)
-        pressure = float(np.mean(c))
-        assert pressure == pytest.approx(1e5 + beta / volume * total, rel=1e-9)
 
 
 @needs_references

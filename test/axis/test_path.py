@@ -128,18 +128,6 @@ def test_pieces_that_all_touch_a_speed_limit_are_taken_and_refused_below_it(whol
         path.through(course_points, start, ABLE._replace(speed_out=0.499999))
 
 
-@given(st.lists(st.lists(st.floats(-10.0, 10.0), min_size=5, max_size=5), max_size=5))
-def test_the_roots_of_many_polynomials_are_those_of_each(rows):
-    """The polynomial changes sign only at one of them."""
-    rates = np.array(rows).reshape(-1, 5)
-    at = np.linspace(0.0, 1.0, 201)
-    for rate, roots in zip(rates, path._roots(rates), strict=True):
-        value = np.polynomial.polynomial.polyval(at, rate)
-        size = np.max(np.abs(rate))
-        for i in np.flatnonzero((value[1:] * value[:-1] < 0.0) & (abs(value[1:] - value[:-1]) > 1e-6 * size)):
-            assert np.any((roots > at[i] - 1e-3) & (roots < at[i + 1] + 1e-3))
-
-
 @pytest.mark.parametrize("present", [REST, Goal(0.2, 0.2, 1.0), Goal(0.3, -0.1, 0.0)])
 def test_a_goal_is_reached_from_any_motion_within_the_limits(present):
     made = path.towards(0.25, present, LIMITS, ABLE)

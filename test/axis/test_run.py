@@ -3,18 +3,16 @@
 """The cascade of an axis: same bits compiled or not, its course, its upper level."""
 
 import json
-import math
 
 import changed
 import numpy as np
 import pytest
 
-from valve_control.axis import axis_pid, course, run
+from valve_control.axis import course, run
 from valve_control.axis.axis_parameters import AXIS_NODES
-from valve_control.axis.machine import Reading
 from valve_control.cli import main
 from valve_control.control.parameters import files, ros_file
-from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameter import ParameterError, updated
 
 
 def settings(controller="open_loop", **changes):
@@ -51,16 +49,6 @@ def test_plain_python_gives_the_bits_of_a_compiled_run(level):
     assert one.indices.e_rms > 0.0 and one.indices.chatter > 0.0
 
 
-def test_c_u_of_an_axis_is_that_of_its_voltage_as_the_paper_defines_it():
-    """N steps between N + 1 samples, (I5)."""
-    made = run.setup(settings(**NOISY, duration=0.1, pause=0.02, course="step"))
-    one = run.simulate(made)
-    volts = one.signals["voltage"]
-    steps = [float(b - a) ** 2 for a, b in zip(volts, volts[1:], strict=False)]
-    expected = math.sqrt(sum(steps) / len(steps)) / math.sqrt(sum(v * v for v in volts) / len(volts))
-    assert one.indices.chatter == pytest.approx(expected, rel=1e-12)
-
-
 def test_an_ideal_valve_follows_its_course_and_settles_within_its_overlap():
     """Velocity feedforward (docs/explanation/axis.md) leaves 1 % of the motion, less at rest."""
     valve = {"valve": "custom", "numerator": [3.95e5], "denominator": [1.0, 880.0, 3.95e5]}
@@ -92,34 +80,6 @@ def test_a_sine_begins_at_rest_and_its_derivatives_are_its_derivatives():
     assert np.max(np.abs(np.gradient(x, 1e-4)[1:-1] - v[1:-1])) < 1e-5
     assert np.max(np.abs(np.gradient(v, 1e-4)[1:-1] - a[1:-1])) < 1e-3
     assert np.max(np.abs(x - 0.2)) == pytest.approx(0.05, rel=1e-3)
-
-
-def test_the_upper_level_makes_a_velocity_and_jumps_the_overlap():
-    values = updated(
-        AXIS_NODES["axis_controller"],
-        defaults(AXIS_NODES["axis_controller"]),
-        {"kp": 10.0, "gain_out": 0.1, "gain_in": 0.05, "overlap": 0.3},
-    )
-    p = axis_pid.build(values, 1.0, 1.0)
-
-    def command(position, goal, velocity=0.0):
-        reading = Reading(0.0, position, 0.0, 0.0)
-        return axis_pid.step(p, axis_pid.initial(p), course.Goal(goal, velocity, 0.0), reading)[0]
-
-    assert command(0.1, 0.1) == 0.0
-    assert command(0.1, 0.11) == pytest.approx(0.1 / 0.1 + 0.3)
-    assert command(0.11, 0.1) == pytest.approx(-0.1 / 0.05 - 0.3)
-    assert command(0.1, 0.1, 0.2) == pytest.approx(0.2 / 0.1 + 0.3)
-    assert command(0.1, 0.1 + 1e-5) == pytest.approx(1e-3 + 0.3 * 1e-3 / 0.05)
-    assert command(0.1, 9.9) == 10.0 and command(9.9, 0.1) == -10.0
-
-
-def test_the_integrator_rests_at_the_limit_and_clears_a_standing_error():
-    lapped = {"spool__overlap": [0.0] * 4, "overlap": 0.0}
-    base = settings(ki=20.0, load__force=-2000.0, cylinder__leakage=2e-12, duration=6.0, back=False, **lapped)
-    with_integral = run.simulate(run.setup(base)).indices
-    base["axis_controller"]["ki"] = 0.0
-    assert with_integral.e_end < 0.2 * run.simulate(run.setup(base)).indices.e_end
 
 
 def test_the_command_prints_indices_and_refuses_in_one_sentence(capfd):

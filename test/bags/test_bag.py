@@ -4,14 +4,12 @@
 
 import random
 import shutil
+import sqlite3
 import struct
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
-import zstandard
-from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as LibraryWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
@@ -84,12 +82,6 @@ def test_numbers_of_real_messages_are_the_library_s(name):
     assert compared > 10
 
 
-def test_source_times_of_a_real_jazzy_recorder_come_before_its_log_times():
-    series = Bag(REAL / "jazzy_mcap_drone_yaw").read({"/cf_controll": ["position.x"]})["/cf_controll"]
-    assert np.all(series.publish_time < series.log_time)
-    assert np.all(series.log_time - series.publish_time < 0.2e9)
-
-
 # Every combination that can be written here
 
 
@@ -119,8 +111,6 @@ def test_bags_of_the_library_with_every_compression(tmp_path, storage, mode):
     for i in range(3):
         assert np.array_equal(got[f"/t{i}"].values["data"], np.arange(500) + 0.25 * i)
         assert np.array_equal(got[f"/t{i}"].log_time, 10**9 + np.arange(500) * 10**6 + i)
-    part = bag.read({"/t1": ["data"]}, start=10**9 + 100 * 10**6, end=10**9 + 200 * 10**6)["/t1"]
-    assert np.array_equal(part.values["data"], np.arange(100, 200) + 0.25)
 
 
 @pytest.mark.parametrize("compression", list(CompressionType), ids=lambda c: c.name)
@@ -163,7 +153,7 @@ def test_mcap_cut_at_any_byte_gives_all_whole_chunks(tmp_path):
         writer.finish()
     data = whole.read_bytes()
     draw = random.Random(1)
-    for cut in draw.sample(range(ends[0], len(data) - 8), 30):
+    for cut in draw.sample(range(ends[0], len(data) - 8), 12):
         torn = tmp_path / "torn.mcap"
         torn.write_bytes(data[:cut])
         bag = Bag(torn)
@@ -197,30 +187,6 @@ def test_a_damaged_chunk_is_left_out_and_said(tmp_path):
     assert sum("damaged" in problem for problem in bag.problems) == 1
 
 
-@pytest.mark.parametrize("size", [1 << 63, 1 << 62])
-def test_a_chunk_of_an_impossible_size_is_left_out(tmp_path, size):
-    """zstandard takes no size of more than 63 bits, and has no words for memory that there is not."""
-    path = tmp_path / "a.mcap"
-    builder = zstandard.ZstdCompressor(write_content_size=False)
-    with path.open("wb") as stream:
-        writer = LibraryWriter(stream, compression=CompressionType.NONE)
-        writer.start("ros2")
-        schema = writer.register_schema(FLOAT, "ros2msg", b"float64 data")
-        channel = writer.register_channel("/x", "cdr", schema)
-        writer.add_message(channel, 10**9, number(1.0), 10**9, 1)
-        writer.finish()
-    with path.open("rb") as stream:
-        (place,) = make_reader(stream).get_summary().chunk_indexes
-    data = path.read_bytes()
-    begin, end = place.chunk_start_offset, place.chunk_start_offset + place.chunk_length
-    packed = builder.compress(data[begin + 49 : end])
-    body = data[begin + 9 : begin + 25] + struct.pack("<QII4sQ", size, 0, 4, b"zstd", len(packed)) + packed
-    path.write_bytes(data[:begin] + struct.pack("<BQ", 6, len(body)) + body + data[end:])
-    with closing(Bag(path)) as bag:
-        assert len(bag.read({"/x": ["data"]})["/x"].log_time) == 0
-        assert sum("is damaged and left out" in problem for problem in bag.problems) == 1
-
-
 def test_damaged_files_never_do_more_than_raise_bag_error(tmp_path):
     """Bytes changed at random: what is read may be wrong, but nothing else may happen."""
     write_rosbags(tmp_path / "m", StoragePlugin.MCAP, count=60)
@@ -229,7 +195,7 @@ def test_damaged_files_never_do_more_than_raise_bag_error(tmp_path):
     for storage in ("m", "s"):
         file = next(p for p in (tmp_path / storage).iterdir() if p.suffix in (".mcap", ".db3"))
         data = file.read_bytes()
-        for _ in range(60):
+        for _ in range(30):
             broken = bytearray(data)
             for _ in range(draw.randrange(1, 6)):
                 broken[draw.randrange(len(broken))] = draw.randrange(256)
@@ -245,88 +211,52 @@ def test_damaged_files_never_do_more_than_raise_bag_error(tmp_path):
 # Bad input
 
 
-def empty_file(folder):
-    (folder / "x.mcap").write_bytes(b"")
-    return folder / "x.mcap"
-
-
-def not_mcap(folder):
-    (folder / "x.mcap").write_bytes(b"hello, world, this is text")
-    return folder / "x.mcap"
-
-
-def not_sqlite(folder):
-    (folder / "x.db3").write_bytes(b"hello, world, this is text")
-    return folder / "x.db3"
-
-
-def other_database(folder):
-    import sqlite3
-
-    with sqlite3.connect(folder / "x.db3") as db:
+def other_database(path):
+    with sqlite3.connect(path) as db:
         db.execute("CREATE TABLE people (name TEXT)")
     db.close()
-    return folder / "x.db3"
 
 
-def empty_folder(folder):
-    (folder / "empty").mkdir()
-    return folder / "empty"
-
-
-def unknown_version(folder):
-    shutil.copytree(REAL / "jazzy_mcap_drone_yaw", folder / "bag")
-    path = folder / "bag" / "metadata.yaml"
-    path.write_text(path.read_text().replace("version: 9", "version: 12"))
-    return folder / "bag"
-
-
-def missing_file(folder):
-    shutil.copytree(REAL / "jazzy_mcap_drone_yaw", folder / "bag")
-    next((folder / "bag").glob("*.mcap")).unlink()
-    return folder / "bag"
-
-
-def broken_yaml(folder):
-    shutil.copytree(REAL / "jazzy_mcap_drone_yaw", folder / "bag")
-    (folder / "bag" / "metadata.yaml").write_text("a: [1, 2")
-    return folder / "bag"
-
-
-def no_topics(folder):
-    with (folder / "x.mcap").open("wb") as stream:
+def no_topics(path):
+    with path.open("wb") as stream:
         writer = LibraryWriter(stream)
         writer.start("ros2")
         writer.finish()
-    return folder / "x.mcap"
+
+
+def unknown_version(path):
+    shutil.copytree(REAL / "jazzy_mcap_drone_yaw", path)
+    file = path / "metadata.yaml"
+    file.write_text(file.read_text().replace("version: 9", "version: 12"))
+
+
+def missing_file(path):
+    shutil.copytree(REAL / "jazzy_mcap_drone_yaw", path)
+    next(path.glob("*.mcap")).unlink()
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("name", "make", "words"),
     [
-        (lambda folder: folder / "nothing", ["nothing", "there is no"]),
-        (lambda folder: Path(__file__), ["test_bag.py", "not a bag", "metadata.yaml"]),
-        (empty_file, ["x.mcap", "empty"]),
-        (not_mcap, ["x.mcap", "not an MCAP file"]),
-        (not_sqlite, ["x.db3", "not a sqlite3 file"]),
-        (other_database, ["x.db3", "no table 'topics'"]),
-        (empty_folder, ["empty", "not a bag"]),
-        (unknown_version, ["12", "9"]),
-        (missing_file, ["none of the files"]),
-        (no_topics, ["x.mcap", "no topics that can be read"]),
+        ("nothing", lambda path: None, ["nothing", "there is no"]),
+        ("a.py", Path.touch, ["a.py", "not a bag", "metadata.yaml"]),
+        ("x.mcap", Path.touch, ["x.mcap", "empty"]),
+        ("x.mcap", lambda path: path.write_text("hello, world, text"), ["x.mcap", "not an MCAP file"]),
+        ("x.db3", lambda path: path.write_text("hello, world, text"), ["x.db3", "not a sqlite3 file"]),
+        ("x.db3", other_database, ["x.db3", "no table 'topics'"]),
+        ("empty", Path.mkdir, ["empty", "not a bag"]),
+        ("bag", unknown_version, ["12", "9"]),
+        ("bag", missing_file, ["none of the files"]),
+        ("x.mcap", no_topics, ["x.mcap", "no topics that can be read"]),
     ],
 )
-def test_what_is_no_bag_is_said_in_one_sentence(tmp_path, make, words):
+def test_what_is_no_bag_is_said_in_one_sentence(tmp_path, name, make, words):
+    make(tmp_path / name)
     with pytest.raises(BagError) as caught:
-        Bag(make(tmp_path))
+        Bag(tmp_path / name)
     assert "\n" not in str(caught.value)
     for word in words:
         assert word in str(caught.value)
-
-
-def test_metadata_that_cannot_be_read_does_not_matter(tmp_path):
-    bag = Bag(broken_yaml(tmp_path))
-    assert "/cf_logpos" in bag.topics and any("metadata.yaml" in problem for problem in bag.problems)
 
 
 def test_one_bad_file_of_several_is_left_out(tmp_path):

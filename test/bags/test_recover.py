@@ -97,8 +97,8 @@ def test_a_damaged_chunk_is_left_out_and_counted(bag, tmp_path, monkeypatch, dam
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_lost_metadata_is_made_anew_from_several_files(tmp_path, storage):
-    with opened(tmp_path / "bag", storage=storage, max_seconds=0.1) as writer:
+def test_lost_metadata_is_made_anew(tmp_path, storage):
+    with opened(tmp_path / "bag", storage=storage) as writer:
         fill(writer, 500)
     assert recover(tmp_path / "bag").out is None
     (tmp_path / "bag" / metadata.NAME).unlink()
@@ -120,7 +120,7 @@ import sys, time
 from pathlib import Path
 sys.path[:0] = [{here!r}]
 from test_writer import fill, opened
-writer = opened(Path(sys.argv[1]), storage=sys.argv[2], max_seconds=0.3)
+writer = opened(Path(sys.argv[1]), storage=sys.argv[2])
 for k in range(1000000):
     fill(writer, 50, 50 * k)
     writer.flush()
@@ -185,21 +185,17 @@ def test_old_tables_without_times_and_definitions_are_copied(tmp_path):
 
 
 @pytest.mark.parametrize("pointer", POINTERS)
-@pytest.mark.parametrize("storage", STORAGES)
-def test_a_file_that_was_not_fetched_is_named(tmp_path, pointer, storage):
-    with opened(tmp_path / "bag", storage=storage, max_seconds=0.1) as writer:
+def test_a_file_that_was_not_fetched_is_named(tmp_path, pointer):
+    with opened(tmp_path / "bag") as writer:
         fill(writer, 300)
-    first, *others = sorted(p for p in (tmp_path / "bag").iterdir() if p.name != metadata.NAME)
-    first.write_text(pointer)
+    shutil.copy(writer.path, tmp_path / "bag" / "bag_1.mcap")
+    (tmp_path / "bag" / metadata.NAME).unlink()
+    writer.path.write_text(pointer)
     with closing(Bag(tmp_path / "bag")) as opened_bag:
         assert any(POINTERS[pointer] in text for text in opened_bag.problems)
-    for path in others:
-        path.write_text(pointer)
     for function in (Bag, recover):
         with pytest.raises(BagError, match=POINTERS[pointer]):
-            function(tmp_path / "bag")
-        with pytest.raises(BagError, match=POINTERS[pointer]):
-            function(first)
+            function(writer.path)
 
 
 def test_what_cannot_be_recovered_is_refused(tmp_path):

@@ -80,17 +80,10 @@ def read_sqlite(path):
 
 
 def listed(folder):
-    """Files of metadata.yaml: name, begin [ns], duration [ns], number of messages."""
-    files = yaml.safe_load((folder / metadata.NAME).read_text())[metadata.ROOT]["files"]
-    return [
-        metadata.File(
-            file["path"],
-            file["starting_time"]["nanoseconds_since_epoch"],
-            file["duration"]["nanoseconds"],
-            file["message_count"],
-        )
-        for file in files
-    ]
+    """The file of metadata.yaml: path, begin [ns], end [ns], number of messages."""
+    (file,) = yaml.safe_load((folder / metadata.NAME).read_text())[metadata.ROOT]["files"]
+    begin = file["starting_time"]["nanoseconds_since_epoch"]
+    return folder / file["path"], begin, begin + file["duration"]["nanoseconds"], file["message_count"]
 
 
 def read(path):
@@ -113,20 +106,6 @@ def test_rosbags_reads_what_was_written(tmp_path, storage):
         assert [p.depth for p in qos["/valve_voltage"]] == [7, 10]
         assert qos["/spool_position"][0].deadline == (1, 5)
         assert qos["/spool_position"][0].reliability.name == "BEST_EFFORT"
-
-
-@pytest.mark.parametrize("storage", STORAGES)
-def test_source_times_and_numbers_are_kept(tmp_path, storage):
-    folder = tmp_path / "bag"
-    with opened(folder, storage=storage) as writer:
-        fill(writer, 100)
-    (path,) = [p for p in folder.iterdir() if p.name != metadata.NAME]
-    assert path.stem == "bag_0"
-    expected = [
-        ("/spool_position", EPOCH + k * MS, EPOCH + k * MS - 1000, k + 1, volts(0.001 * k))
-        for k in range(100)
-    ]
-    assert read(path) == expected
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
@@ -156,7 +135,6 @@ def test_mcap_is_what_rosbag2_writes(tmp_path, compression):
     ("change", "words"),
     [
         (("message_count: 10", "message_number: 10"), "message_count"),
-        (("message_count: 10", "message_count: ten"), "ten"),
         (("history: keep_last", "history: [keep_last"), "does not describe a bag"),
         (("rosbag2_bagfile_information", "information"), "rosbag2_bagfile_information"),
     ],
@@ -186,45 +164,16 @@ def test_metadata_of_older_versions(tmp_path, version, lines):
 """
     (tmp_path / metadata.NAME).write_text(text + "\n".join(lines))
     compression = "file" if lines else ""
-    assert metadata.read(tmp_path) == (version, "", compression, 2, ("bag_0.db3",), {"/x": "other"})
-
-
-@pytest.mark.parametrize("storage", STORAGES)
-@pytest.mark.parametrize("limit", [{"max_seconds": 0.1}, {"max_bytes": 60000}])
-def test_each_file_of_a_rotation_is_whole_by_itself(tmp_path, storage, limit):
-    folder = tmp_path / "bag"
-    begun = []
-    writer = opened(folder, storage=storage, on_new_file=lambda: begun.append(writer.path.name), **limit)
-    for k in range(100):
-        fill(writer, 50, 50 * k)
-        writer.flush()
-    writer.close()
-    files = listed(folder)
-    names = [file.path for file in files]
-    assert len(names) > 3 and begun == names[1:]
-    messages = []
-    for file in files:
-        alone = read(folder / file.path)
-        assert len(alone) == file.message_count
-        assert alone[0][1] == file.starting_time and alone[-1][1] == file.starting_time + file.duration
-        if "max_seconds" in limit:
-            assert file.duration < 0.1e9
-        messages += alone
-        with Reader(folder / file.path) as reader:
-            assert len(reader.connections) == 2 and reader.message_count == file.message_count
-            assert all(c.msgdef.data == DEFINITION for c in reader.connections)
-    assert [m[3] for m in messages] == list(range(1, 5001))
-    with Reader(folder) as reader:
-        assert reader.message_count == 5000 == len(list(reader.messages()))
+    assert metadata.read(tmp_path) == (version, "", compression, 2, ("bag_0.db3",))
 
 
 @pytest.mark.parametrize("storage", STORAGES)
 def test_a_recording_may_begin_at_zero(tmp_path, storage):
     """Simulated time does; the beginning was that of the second message."""
-    with opened(tmp_path / "bag", storage=storage, max_seconds=1.0) as writer:
+    with opened(tmp_path / "bag", storage=storage) as writer:
         for k in range(4):
             writer.write("/spool_position", k * 500 * MS, k * 500 * MS, k + 1, volts(0.0))
-    assert [file[1:] for file in listed(tmp_path / "bag")] == [(0, 500 * MS, 2), (1000 * MS, 500 * MS, 2)]
+    assert listed(tmp_path / "bag")[1:] == (0, 1500 * MS, 4)
 
 
 def test_a_file_that_took_the_place_of_ours_is_left_alone(tmp_path):
@@ -235,40 +184,10 @@ def test_a_file_that_took_the_place_of_ours_is_left_alone(tmp_path):
     writer.path.rename(tmp_path / "moved.mcap")
     writer.path.touch()
     with pytest.raises(BagError, match="replaced"):
-        writer.missing()
+        writer.check_place()
     assert writer.path.read_bytes() == b""
     with closing(Bag(tmp_path / "moved.mcap")) as bag:
         assert len(bag.read({}, raw=["/spool_position"])["/spool_position"].log_time) == 10
-
-
-@pytest.mark.parametrize("storage", STORAGES)
-def test_a_file_that_has_the_name_of_the_next_one_is_left_alone(tmp_path, storage):
-    """It was removed."""
-    writer = opened(tmp_path / "bag", storage=storage, max_seconds=0.01)
-    foreign = tmp_path / "bag" / writer.path.name.replace("_0", "_1")
-    foreign.write_bytes(b"of somebody else")
-    with pytest.raises(BagError, match="cannot be begun: File exists"):
-        fill(writer, 100)
-    assert foreign.read_bytes() == b"of somebody else"
-    assert len(read(writer.path)) == 10 == metadata.read(tmp_path / "bag").message_count
-
-
-def test_messages_of_a_new_file_can_be_written_in_its_hook(tmp_path):
-    writer = opened(
-        tmp_path / "bag",
-        max_seconds=0.1,
-        on_new_file=lambda: writer.write("/valve_voltage", EPOCH, 0, 0, b""),
-    )
-    fill(writer, 150)
-    writer.close()
-    assert read(tmp_path / "bag" / "bag_1.mcap")[0][0] == "/valve_voltage"
-
-
-@pytest.mark.parametrize("storage", STORAGES)
-def test_an_empty_bag_is_a_bag(tmp_path, storage):
-    opened(tmp_path / "bag", storage=storage).close()
-    with Reader(tmp_path / "bag") as reader:
-        assert reader.message_count == 0 and len(reader.connections) == 2
 
 
 @pytest.mark.parametrize(
@@ -284,20 +203,6 @@ def test_what_cannot_be_is_refused(tmp_path, options, words):
     with pytest.raises(BagError, match=words):
         BagWriter(tmp_path, **options)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(BagError, match="cannot be made: Not a directory"):
-        BagWriter(tmp_path / "file" / "bag")
-
-
-def test_a_closed_bag_takes_nothing(tmp_path):
-    writer = opened(tmp_path / "bag")
-    writer.close()
-    writer.close()
-    with pytest.raises(BagError, match="is closed"):
-        fill(writer, 1)
 
 
 MESSAGES = st.lists(
@@ -322,10 +227,10 @@ def test_any_messages_come_back(messages, storage, flushes):
                 writer.write(*message)
                 if k % flushes == 0:
                     writer.flush()
-        (file,) = listed(folder)
-        assert sorted(read(folder / file.path)) == sorted(messages)
-        times = [m[1] for m in messages] or [0]
-        assert (file.starting_time, file.duration) == (min(times), max(times) - min(times))
+        path, *times, count = listed(folder)
+        assert sorted(read(path)) == sorted(messages) and count == len(messages)
+        stamps = [m[1] for m in messages] or [0]
+        assert times == [min(stamps), max(stamps)]
 
 
 FULL = """
@@ -350,9 +255,9 @@ except BagError as error:
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-@pytest.mark.parametrize("limit", [150_001, 300_003, 1_000_004])
+@pytest.mark.parametrize("limit", [150_001, 1_000_004])
 def test_a_file_that_may_not_grow_is_closed(tmp_path, storage, limit):
-    """EFBIG: all that was flushed before can be read by others, and the error is one sentence."""
+    """EFBIG: all that was flushed before can be read, and the error is one sentence."""
     folder = tmp_path / "bag"
     done = subprocess.run(
         [sys.executable, "-c", FULL.format(here=str(Path(__file__).parent)), folder, storage, str(limit)],
@@ -365,9 +270,11 @@ def test_a_file_that_may_not_grow_is_closed(tmp_path, storage, limit):
     (sentence,) = done.stderr.strip().splitlines()
     assert "bag_0" in sentence and "cannot be written any further" in sentence
     flushed = int(done.stdout.split()[-1])
-    assert "the bag is closed and whole" in sentence and f"with {flushed} messages" in sentence, sentence
-    (file,) = listed(folder)
-    assert [m[3] for m in read(folder / file.path)] == list(range(1, flushed + 1))
-    with Reader(folder) as reader:
-        assert reader.message_count == flushed == len(list(reader.messages()))
-    assert {p.name for p in folder.iterdir()} == {file.path, metadata.NAME}
+    assert f"with {flushed} messages" in sentence, sentence
+    with closing(Bag(folder)) as bag:
+        sequence = bag.read({}, raw=["/spool_position"])["/spool_position"].sequence
+    assert sequence.tolist() == list(range(1, len(sequence) + 1))
+    assert flushed <= len(sequence) <= flushed + 1000 * (storage == "mcap")  # a whole chunk, not its index
+    if storage == "sqlite3":
+        with Reader(folder) as reader:
+            assert reader.message_count == flushed == len(list(reader.messages()))

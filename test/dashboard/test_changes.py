@@ -66,15 +66,3 @@ def test_a_slider_that_is_drawn_is_one_change():
     assert [change.after for change in changes.done] == [{"k1": 21.0}, {"k2": 2.0}, {"k2": 3.0}]
     add(9.5, {"k2": 3.0}, {"k2": 2.0})  # and back: undo has nothing to take back
     assert len(changes.done) == 2
-
-
-def test_a_node_tells_late_what_was_set_here_and_it_is_not_taken_for_others():
-    state = node(k1=1.0)
-    state.asks({"k1": 2.0}, 0.0)
-    assert state.observed({"k1": 2.0}, 0.01) is None  # before the answer
-    assert state.take({"k1": 2.0}, 0.02, "here").after == {"k1": 2.0}
-    state.asks({"k1": 3.0}, 0.03)
-    assert state.take({"k1": 3.0}, 0.04, "here") is not None
-    assert state.observed({"k1": 2.0}, 0.05) is None and state.values["k1"] == 3.0
-    assert state.observed({"k1": 7.0}, 0.06).after == {"k1": 7.0}
-    assert state.values["k1"] == 7.0

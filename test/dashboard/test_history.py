@@ -55,13 +55,6 @@ def test_one_sample_that_jumps_is_seen_in_the_longest_plot():
     assert len(course.time) <= 802
 
 
-def test_few_samples_are_drawn_as_they_are():
-    history, time, values = filled(1000)
-    course = history.course(time[100], time[200], 400)
-    assert np.array_equal(course.low, course.high)
-    np.testing.assert_array_equal(course.low, values[99:202][: len(course.low)])
-
-
 def test_the_longest_plot_is_there_at_1_khz_and_what_is_older_is_forgotten():
     history = History()
     for k in range(600):
@@ -74,23 +67,6 @@ def test_the_longest_plot_is_there_at_1_khz_and_what_is_older_is_forgotten():
     assert values[0] == pytest.approx(end - LONGEST - START, abs=0.0011)
     history.append(end + 0.001 * np.arange(1, ROOM), np.zeros(ROOM - 1))  # more at once than there is room
     assert len(history) <= ROOM and history.newest == pytest.approx(end + 0.001 * (ROOM - 1))
-
-
-def test_numbers_that_are_none_leave_a_gap_and_hide_no_others():
-    values = np.ones(10_000)
-    values[3000:6000] = np.nan
-    history, time, _ = filled(len(values), values=values)
-    course = history.course(time[0], time[-1], 100)
-    assert np.all(np.isfinite(course.low)) and np.all(course.high == 1.0)
-    assert np.max(np.diff(course.time)) == pytest.approx(3.0, abs=0.2)
-
-
-def test_a_clock_that_was_set_back_does_not_disorder_the_past():
-    history, time, _ = filled(1000)
-    history.append(time[:10], np.full(10, 99.0))
-    assert len(history) == 1000
-    history.append(np.array([time[-1] + 0.001]), np.array([5.0]))
-    assert history.newest == time[-1] + 0.001 and history.value_at(history.newest) == 5.0
 
 
 def test_indices_over_the_last_seconds_are_those_of_the_analysis():

@@ -147,12 +147,3 @@ def test_the_recorder_ends_with_the_page_and_its_last_word_is_shown(tmp_path, mo
     recording.interrupt()
     recording.end()
     assert not recording.running and "status -15" in recording.text
-
-
-@pytest.mark.parametrize("word", ["nan", "inf", "-1.0", "0.0", "none", ""])
-def test_a_period_that_is_none_leaves_the_last_one(word):
-    """With NaN the indices of the page raised, once a second."""
-    valve = Valve("/")
-    valve.status("info", "ok", "", {"period_ms": "2.0"}, 0.0)
-    valve.status("info", "ok", "", {"period_ms": word}, 1.0)
-    assert valve.period == 0.002

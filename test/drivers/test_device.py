@@ -9,8 +9,7 @@ import pytest
 from examples import serial_card
 
 from valve_control.control.drivers import device as device_module
-from valve_control.control.drivers import trial
-from valve_control.control.drivers.driver import Condition, DriverError, Reading
+from valve_control.control.drivers.driver import DriverError, Reading
 from valve_control.control.parameters import drivers
 from valve_control.parameter import ParameterError, defaults, updated
 
@@ -139,28 +138,6 @@ def test_a_voltage_that_is_not_finite_gives_0_volts(voltage):
     assert loose.calls[-1] == 0.0
 
 
-def test_a_device_that_goes_with_a_fault_comes_back_off(monkeypatch):
-    monkeypatch.setattr(device_module, "RETRY", 0.0)
-    loose = Loose()
-    one = volts(loose)
-    loose.faults = (Condition("emergency", "safe", "of the maker"), Condition("pdo_lost", "degraded", "one"))
-    loose.plugged = False
-    one.read()
-    one.read()
-    loose.plugged, loose.faults = True, ()
-    loose.calls.clear()
-    one.read()
-    one.write(1.0)
-    assert loose.calls == ["open", "enable False"]
-    (told,) = one.conditions()
-    assert (told.name, told.level) == ("fault_before", "safe")
-    assert "after emergency: the output stays off until enable is switched off and on" in told.text
-    one.enable(False)
-    one.enable(True)
-    one.write(1.0)
-    assert loose.calls[2:] == ["enable False", "enable True", 1.0] and one.conditions() == ()
-
-
 class Polled(Loose):
     """One that can be polled: its readings, and the time of the next."""
 
@@ -190,26 +167,6 @@ def test_a_polled_device_never_waits_and_tells_when_it_has_something():
     assert [c.name for c in one.conditions()] == ["out_of_range", "readings_lost"]
 
 
-def test_a_polled_device_that_goes_is_tried_again_in_a_second_and_not_before(monkeypatch):
-    loose = Polled([Reading(1.0, 0)])
-    one = volts(loose)
-    loose.plugged = False
-    before = time.monotonic()
-    assert one.poll() is None and one.conditions()[0].name == "device_gone"
-    assert one.fileno() == -1 and before + 1.0 <= one.due() <= time.monotonic() + 1.0
-    loose.plugged, tried = True, loose.calls.count("open")
-    assert one.poll() is None and loose.calls.count("open") == tried
-    monkeypatch.setattr(one, "_retry_at", 0.0)
-    assert one.poll() is None and one.reopened == 1 and one.conditions() == ()
-    assert one.poll() == (1.0, 0)
-
-
-def test_a_device_that_cannot_be_polled_is_waited_for_and_its_silences_counted():
-    one = volts(Loose())
-    assert not one.polled and one.fileno() == -1 and one.due() == 0.0
-    assert one.poll() is None and one.silences == 1
-
-
 @pytest.mark.parametrize("act", [lambda d: d.write(1.0), lambda d: d.read(), lambda d: d.enable(False)])
 def test_a_device_that_goes_is_closed_told_and_opened_anew_as_it_was(act, monkeypatch):
     monkeypatch.setattr(device_module, "RETRY", 0.0)
@@ -227,11 +184,3 @@ def test_a_device_that_goes_is_closed_told_and_opened_anew_as_it_was(act, monkey
     loose.calls.clear()
     one.read()
     assert loose.calls == ["open", "enable True"] and one.conditions() == () and one.reopened == 1
-
-
-def test_a_dry_run_of_a_silent_card_ends_without_a_reading(card):
-    one = device(card)
-    found = trial.run(one, 0.05)
-    assert found == ([], [], 0, {})
-    assert trial.told(found, one, 0.001) == ["readings   0, of which 0 not valid; 0 lost"]
-    assert given(card) == 0.0 and not card._asked

@@ -75,17 +75,6 @@ def test_requests_without_an_answer_are_lost_readings_then_a_lost_connection(io)
     valve.close()
 
 
-@pytest.mark.parametrize("on", [True, False])
-def test_readings_that_nobody_asked_for_before_enable_are_not_lost(io, on):
-    valve = driver(io)
-    valve.open()
-    valve.read()
-    valve._ticks._count -= 1000  # as long as an inactive node leaves it alone
-    valve.enable(on)
-    assert until(valve.read, "an answer").lost < 100 and "late" not in names(valve)
-    valve.close()
-
-
 def test_refused_requests_are_conditions_and_a_refused_voltage_switches_off(io):
     valve = driver(io)
     valve.open()
@@ -124,26 +113,6 @@ def test_a_device_that_answers_reads_and_no_writes_is_told(io):
     silent.close()
 
 
-def test_negative_counts_are_negative_readings_if_they_are_signed(io):
-    valve = driver(io)
-    valve.open()
-    valve.enable(True)
-    valve.write(-2.0)
-    readings = [valve.read().signal for _ in range(100)]
-    assert readings[-1] == pytest.approx(-1.67, abs=0.05)
-    valve.close()
-
-
-def test_samples_that_no_one_had_time_for_are_told_as_left_out(io):
-    valve = driver(io)
-    valve.open()
-    valve.read()
-    time.sleep(4.0 * PERIOD)
-    until(valve.read, "a reading")
-    assert names(valve)["late"] == "degraded"
-    valve.close()
-
-
 def test_an_answer_in_slow_bytes_costs_one_request():
     """A byte each 40 ms. Its rest was taken for the next answers, until the device was opened anew."""
     slow = []
@@ -174,17 +143,6 @@ def test_an_answer_in_slow_bytes_costs_one_request():
         server.shutdown()
 
 
-def test_without_a_coil_a_refused_voltage_is_followed_by_0_volts(io):
-    valve = driver(io, enable_coil=-1)
-    valve.open()
-    valve.enable(True)
-    valve.write(2.0)
-    assert io.order("refuse_voltage 3").startswith("1.9999")
-    valve.write(3.0)
-    assert names(valve)["write_refused"] == "safe" and io.order("state").startswith("0.0000")
-    valve.close()
-
-
 def test_a_voltage_that_cannot_be_taken_back_is_told_and_tried_again(io):
     valve = driver(io, enable_coil=-1)
     valve.open()
@@ -200,20 +158,6 @@ def test_a_voltage_that_cannot_be_taken_back_is_told_and_tried_again(io):
     assert io.order("none").startswith("1.9999")
     valve.close()
     assert io.order("state").startswith("0.0000")
-
-
-def test_a_busy_device_is_asked_again_to_switch(io):
-    valve = driver(io, timeout=0.2)
-    valve.open()
-    io.order("busy 2")
-    valve.enable(True)
-    valve.write(2.0)
-    assert io.order("busy 1000") == "1.9999 1" and names(valve)["busy"] == "degraded"
-    with pytest.raises(DriverError, match="stays busy and does not accept holding register 5"):
-        valve.enable(False)
-    io.order("busy 7")
-    valve.close()
-    assert io.order("state") == "0.0000 0"
 
 
 def test_a_device_that_dies_is_told_and_opened_anew_when_it_is_back():

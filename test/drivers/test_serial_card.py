@@ -3,12 +3,9 @@
 """Driver of a serial card: the card's twin in Python and its firmware in C on the other side of the line."""
 
 import ctypes
-import errno
-import itertools
 import math
 import shutil
 import subprocess
-import termios
 
 import pytest
 from examples import EXAMPLES, serial_card
@@ -131,38 +128,6 @@ def test_lost_and_damaged_frames_are_counted_and_a_wrap_is_no_loss(card):
     driver.close()
 
 
-@pytest.mark.parametrize(("lost", "seen"), [(1, 1), (1000, 1000), (65536, 0), (65537, 1), (131072, 0)])
-def test_a_counter_sees_no_loss_of_all_its_numbers(card, lost, seen):
-    """65,536 frames in a row, a minute at 1 kHz, are the smallest loss that 16 bits do not show."""
-    driver = opened(card)
-    numbers = itertools.cycle(range(65536))
-    card.counter = next(numbers)
-    card.send(0.0)
-    assert driver.read().lost == 0
-    card.counter = next(itertools.islice(numbers, lost, None))
-    card.send(0.0)
-    assert driver.read().lost == seen
-    driver.close()
-
-
-@pytest.mark.parametrize(("waiting", "lost"), [(100, 0), (101, 100), (300, 299)])
-def test_frames_of_a_long_pause_are_lost_but_the_newest(card, waiting, lost):
-    """At 1 kHz 100 frames are the 0.1 s after which the card's watchdog has switched off."""
-    driver = opened(card)
-    card.send(0.0)
-    driver.read()
-    card.voltage = 5.0
-    for _ in range(waiting):
-        card.move()
-        newest = card.send(0.0)
-    reading = driver.read()
-    assert reading.lost == lost
-    if lost:
-        assert reading.signal == pytest.approx(newest, abs=STEP) and newest > 1.0
-        assert driver.read() is None
-    driver.close()
-
-
 def test_no_frame_is_no_reading_and_a_card_without_voltages_says_so(card):
     driver = opened(card)
     assert driver.read() is None
@@ -211,16 +176,6 @@ def test_frames_from_before_are_no_readings_after_enable(card):
     driver.close()
 
 
-def test_a_line_that_takes_no_more_is_told(card):
-    """The card does not read: the line's buffer is full after some frames."""
-    driver = opened(card)
-    driver.enable(True)
-    with pytest.raises(DriverError, match="does not take the voltages: it is too slow, or held up"):
-        for _ in range(100_000):
-            driver.write(1.0)
-    driver.close()
-
-
 def test_a_port_that_goes_away_is_told_in_a_sentence():
     card = serial_card.Card()
     driver = opened(card)
@@ -235,15 +190,6 @@ def test_a_port_that_goes_away_is_told_in_a_sentence():
     with pytest.raises(DriverError, match=f"the port {port} cannot be opened"):
         driver.open()
     driver.close()
-
-
-def test_a_line_discipline_that_fails_is_told_in_a_sentence(card, monkeypatch):
-    def failing(*_):
-        raise termios.error(errno.EIO, "Input/output error")
-
-    monkeypatch.setattr(termios, "tcflush", failing)
-    with pytest.raises(DriverError, match="cannot be opened: Input/output error"):
-        opened(card)
 
 
 # The firmware
@@ -322,10 +268,3 @@ def test_the_firmware_speaks_the_frames_and_has_a_watchdog(firmware):
     assert (given.value, on.value) == (3000, 1)
     now.value = 250
     assert sampled().flags == SILENCE | SENSOR and (given.value, on.value) == (100, 0)
-
-
-@pytest.mark.parametrize("noise", [b"", b"\x5a", b"\x00\x5a\x5a", bytes(range(7)), b"\x5a" * 9])
-def test_the_firmware_finds_frames_behind_noise(firmware, noise):
-    for byte in noise + packed(TO_CARD, ON, 1, 1234) + packed(TO_CARD, ON, 2, 4321):
-        firmware.received(byte)
-    assert variable(firmware, "given", ctypes.c_int16).value == 4321

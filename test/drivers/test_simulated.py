@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated valve as a device: the bits of the plant, its clock, and a dry run with it."""
 
-import math
-
 import changed
 import numpy as np
 import pytest
@@ -85,28 +83,3 @@ def test_a_dry_run_tells_noise_rate_and_losses_and_writes_nothing():
     assert (
         rate.startswith("rate       ") and position.startswith("position   ") and noise.startswith("noise ")
     )
-
-
-def test_a_slow_motion_is_no_noise():
-    """Second differences of a parabola of 1 V/s² at 1 kHz are 1 µV; those of one reading are none."""
-    t = np.arange(1000) * 1e-3
-    noise = 0.004 * np.random.default_rng(1).standard_normal(1000)
-    assert trial.noise(list(0.5 * t * t)) == pytest.approx(1e-6 / math.sqrt(6.0), rel=1e-3)
-    assert trial.noise(list(0.5 * t * t + noise)) == pytest.approx(0.004, rel=0.1)
-    assert math.isnan(trial.noise([1.0, 2.0]))
-
-
-def test_a_dry_run_without_readings_or_with_none_that_is_valid_says_so():
-    side = Side(Scale(1.0), -11.0, 11.0)
-    device = Device(SimulatedValve(P, 3, False), side, side, P.period)
-    assert trial.told(trial.Trial([], [], 0, {}), device, P.period) == [
-        "readings   0, of which 0 not valid; 0 lost"
-    ]
-    lines = trial.told(
-        trial.Trial([math.nan] * 2, [0.0, 0.002], 1, {"sensor_fault": "broken"}), device, 0.001
-    )
-    assert lines == [
-        "readings   2, of which 2 not valid; 1 lost",
-        "rate       1000.00 Hz; the period is +0.00 % off sample_period; largest gap 2 ms",
-        "sensor_fault: broken",
-    ]

@@ -28,10 +28,7 @@ from valve_control.control.supervision.record import Mode
 from valve_control.nodes import loop
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, NumberSubscription
 from valve_control.nodes.axis_controller import AxisController
-from valve_control.nodes.axis_simulator import AxisSimulator
 from valve_control.parameter import updated
-
-MACHINES = ("bench", "crane_boom", "press")
 
 
 def path_of(machine):
@@ -284,47 +281,6 @@ def test_wrong_readings_are_bridged_then_the_axis_stops_until_it_is_reset(ros, t
         assert child.poll() is None
 
 
-def test_axis_arc_without_pressure_sensors_stops_with_one_sentence_and_takes_no_other_level(ros, tmp_path):
-    axis = Played(ros)
-    given = ("upper_level:=axis_arc", "sensor.timeout:=0.2", "stop.controller:=''")
-    with upper_level(tmp_path, *given) as child:
-        end = time.monotonic() + 30.0
-        while not axis.commands:  # before it stops there are none
-            assert time.monotonic() < end
-            axis.send(0.2)
-            rclpy.spin_once(ros, timeout_sec=0.05)
-        axis.told(
-            "stopped, 0 V: there is no pressure_a and pressure_b, which axis_arc needs; the upper_level"
-        )
-        assert set(axis.commands) == {0.0}
-        refused = set_parameters(ros, "axis_controller", upper_level="axis_pid")
-        assert not refused.successful and "does not change; start it again" in refused.reason
-        assert child.poll() is None
-
-
-def test_the_point_of_a_stop_has_a_time_on_the_clock_of_the_readings(ros, tmp_path):
-    """With the time of sending a controller refuses the points after it, whose times are before."""
-    axis, points = Played(ros), []
-    ros.create_subscription(JointTrajectoryPoint, "spool_trajectory", points.append, SAMPLES)
-    with upper_level(tmp_path, "message:=trajectory", "stop.controller:=''", "sensor.timeout:=100.0"):
-        axis.connect(0.2)
-        axis.send(0.2)
-        spin_until(ros, lambda: points and at(points[-1]) == axis.time, "the point of the last reading")
-        assert call(ros, Trigger, "/axis_controller/stop", Trigger.Request()).success
-        spin_until(ros, lambda: at(points[-1]) != axis.time, "the point of the stop")
-        assert 0 < at(points[-1]) - axis.time < 60 * 10**9
-
-
-def test_a_frozen_position_sensor_shows_its_first_position(ros):
-    sensor = AxisSimulator(cli_args=["--ros-args", "-p", "fault.position:=frozen"])
-    try:
-        for position in (0.25, 0.26):
-            sensor._publish_position(position, 0)
-            assert list(sensor._joint.position) == [0.25]
-    finally:
-        sensor.destroy_node()
-
-
 @contextmanager
 def axis_in_this_process(ros):
     """An axis controller that works when it is told to, its sensor, and its answer to a reading."""
@@ -360,35 +316,6 @@ def test_an_axis_whose_process_stood_still_while_readings_waited_stops_and_a_bus
         assert node._state.command == 0.0
         node._on_reset(None, Trigger.Response())
         assert answer(0.21)[0] is Mode.OK and node._state.goal.position == 0.21
-
-
-def test_to_plan_a_motion_is_no_standstill_of_the_process(ros, monkeypatch):
-    with axis_in_this_process(ros) as (node, axis, answer):
-        assert answer(0.2)[0] is Mode.OK
-        spin_until(ros, axis.goal.get_subscription_count, "the goal's subscription")
-        axis.goal.publish(Float64(data=0.25))
-        wait_for_message(node, node._wanted)
-        take_goals = node._take_goals
-
-        def plan():
-            """A motion whose planning takes longer than ``sensor.timeout``, by the clock of the watch."""
-            node._watch_at = time.monotonic() - 1.0
-            return take_goals()
-
-        monkeypatch.setattr(node, "_take_goals", plan)
-        assert answer(0.2) == (Mode.OK, "follows its path")
-
-
-def test_messages_of_another_joint_are_no_lost_readings(ros):
-    """Without stamps the time goes on by a period a reading, also with another joint's messages between."""
-    with axis_in_this_process(ros) as (node, axis, _):
-        times = []
-        for name in ("axis", "other") * 4:
-            axis.sensor.publish(JointState(name=[name], position=[0.2]))
-            wait_for_message(node, node._joints)
-            node.work()
-            times.append(node._state.time)
-        assert set(np.diff(times[2::2])) == {round(node._params.period * 1e9)}
 
 
 def test_axis_arc_waits_for_its_first_pressures_after_each_start(ros, tmp_path):

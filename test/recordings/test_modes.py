@@ -95,12 +95,12 @@ def test_indices_with_and_without_what_was_not_ok(run, tmp_path):
 
 def test_the_text_and_the_page_show_the_modes(run, tmp_path):
     result, _ = modes_of(write(tmp_path / "bag", run.messages))
-    lines = analysis_report.text(result).splitlines()
+    lines = analysis_report.of_bag(result, {}).text.splitlines()
     assert any(line.startswith("only ok") for line in lines)
     assert any(line.startswith("without safe") for line in lines)
     assert any(line.startswith("safe ") and "60 LVDT readings lost in a row" in line for line in lines)
     assert any(line.startswith("modes: ok ") and "safe 1 time" in line for line in lines)
-    page = analysis_report.html_text(result)
+    page = analysis_report.of_bag(result, {}).html
     assert "60 LVDT readings lost in a row" in page
     shapes = json.loads("[" + page.split('"shapes":[', 1)[1].split("]", 1)[0] + "]")
     told = [i for i in as_dict(result)["valves"]["valve"]["modes"]["intervals"] if i["samples"]]
@@ -115,30 +115,7 @@ def test_without_diagnostics_the_state_tells_the_modes_but_no_reasons(run, tmp_p
     assert [mode for mode, _ in runs_of(found)] == [mode for mode, _ in runs_of(told)]
     assert np.count_nonzero(found != told) <= 10 * len(runs_of(told))
     assert all(interval["reasons"] == [] for interval in about["intervals"])
-    assert "reason is not recorded" in analysis_report.text(result)
-
-
-def test_a_run_that_is_ok_throughout_says_so(tmp_path):
-    """What comes before the first command is no part of the run."""
-    made = Run()
-    for _ in range(300):
-        made.sample()  # "no command yet"
-    made.move(1200)
-    result, about = modes_of(write(tmp_path / "bag", made.messages))
-    assert "modes: ok throughout" in analysis_report.text(result)
-    assert about["ok"]["samples"] == 1200 and about["degraded"]["intervals"] == 0
-    assert about["intervals"][-1]["reasons"] == ["no command yet"] and about["intervals"][-1]["end_s"] < 0.001
-
-
-def test_a_word_that_the_recorder_missed_is_made_good_by_the_state(run, tmp_path):
-    """The word that control is back is not in the bag; the next one comes up to a second later."""
-    words = [m for m in run.messages if m.topic == "/diagnostics"]
-    after_safe = next(i for i, m in enumerate(words) if b"lost in a row" in m.data) + 1
-    missed = words[after_safe]
-    result, about = modes_of(write(tmp_path / "bag", run.messages, keep=lambda m: m is not missed))
-    told, found = np.array(run.modes), sample_modes(result, len(run.modes))
-    assert np.count_nonzero(found != told) <= 10
-    assert about["safe"]["intervals"] == 1
+    assert "reason is not recorded" in analysis_report.of_bag(result, {}).text
 
 
 def test_a_controller_that_fell_silent_is_not_taken_for_ok(run, tmp_path):
@@ -153,7 +130,7 @@ def test_a_controller_that_fell_silent_is_not_taken_for_ok(run, tmp_path):
     result, about = modes_of(write(tmp_path / "bag", messages))
     assert about["unknown"]["intervals"] == 1
     assert about["unknown"]["duration_s"] == pytest.approx(5.0, abs=0.02)
-    assert "nothing was heard of the controller" in analysis_report.text(result)
+    assert "nothing was heard of the controller" in analysis_report.of_bag(result, {}).text
 
 
 def test_of_two_valves_each_has_its_own_modes(tmp_path):
@@ -186,14 +163,6 @@ def test_an_inactive_controller_and_words_of_other_nodes(run, tmp_path):
     assert any("1 messages of /diagnostics could not be decoded" in text for text in loaded.problems)
 
 
-def test_a_part_of_the_time_knows_the_mode_at_its_beginning(run, tmp_path):
-    """The word that the readings were bridged was said before the part begins."""
-    bag = write(tmp_path / "bag", run.messages, keep=not_state)
-    about = as_dict(analyze(load(bag, start=1.2, end=1.5)))["valves"]["valve"]["modes"]
-    assert about["degraded"]["share"] == pytest.approx(1.0)
-    assert about["intervals"][0]["reasons"] == ["LVDT readings lost: bridged"]
-
-
 def test_what_switched_off_is_the_first_reason(tmp_path):
     """Bridged readings are still reported when many are lost."""
     made = Run()
@@ -208,13 +177,6 @@ def test_what_switched_off_is_the_first_reason(tmp_path):
         ["60 LVDT readings lost in a row", "LVDT readings lost: bridged"],
         ["LVDT readings lost: bridged"],
     ]
-
-
-def test_without_any_word_of_a_controller_modes_are_not_known(run, tmp_path):
-    result, about = modes_of(
-        write(tmp_path / "bag", run.messages, keep=lambda m: not_state(m) and not_diagnostics(m))
-    )
-    assert about is None and "modes" not in analysis_report.text(result)
 
 
 # Changes of parameters
@@ -233,7 +195,7 @@ def test_successive_changes_are_all_listed(tmp_path):
     made.change(controller="pid")
     made.flush()
     result = analyze(load(write(tmp_path / "bag", made.messages)))
-    text = analysis_report.text(result)
+    text = analysis_report.of_bag(result, {}).text
     for i, change in enumerate(
         ("arc.k2 = 90.0", "arc.k1 = 110.0", "arc.k1 = 100.0", "arc.k1 = 95.0", "controller = pid"), start=1
     ):
@@ -271,7 +233,7 @@ def test_readings_of_another_rate_are_reported_with_both_numbers(steady, tmp_pat
     result = analyze(load(write(tmp_path / "bag", slower(steady.messages, factor))))
     valve = as_dict(result)["valves"]["valve"]
     told = f"LVDT readings come every {factor:.4g} ms, sample_period is 1 ms"
-    assert told in analysis_report.text(result) and any(told in text for text in valve["left_out"])
+    assert told in analysis_report.of_bag(result, {}).text and any(told in text for text in valve["left_out"])
     period = valve["lvdt_period"]
     assert period["measured_s"] == pytest.approx(1e-3 * factor, rel=1e-3)
     assert period["sample_period_s"] == 0.001 and valve["sample_period_s"] == 0.001
@@ -279,7 +241,7 @@ def test_readings_of_another_rate_are_reported_with_both_numbers(steady, tmp_pat
     # The command is a sine of 1 Hz when a reading a millisecond comes.
     spectrum = result.valves["valve"].voltage_spectrum
     assert spectrum.frequency[-1] == pytest.approx(500.0 / factor, rel=1e-3)
-    page = analysis_report.html_text(result)
+    page = analysis_report.of_bag(result, {}).html
     indices, spectra = page.index("valve: indices<"), page.index("valve: spectra<")
     assert page.index(told, indices) < page.index("valve: signals<") and told in page[spectra:]
 
@@ -301,16 +263,3 @@ def test_the_right_rate_is_not_reported_despite_losses_jitter_and_pauses(steady,
     assert valve["timing"]["spool_position"]["lost"] > 100
     assert not any("LVDT readings come" in text for text in valve["left_out"])
     assert valve["lvdt_period"]["deviation"] == pytest.approx(0.0, abs=5e-3)
-
-
-def test_a_sample_period_that_was_changed_with_the_readings_is_none(steady, tmp_path):
-    """From 1.5 s on both are 2 ms; before, and after, they agree."""
-    made = Run()
-    made.move(1500)
-    made.change(sample_period=0.002)
-    turn = made.clock
-    made.move(1500)
-    valve = as_dict(analyze(load(write(tmp_path / "bag", slower(made.messages, 2.0, turn)))))["valves"][
-        "valve"
-    ]
-    assert not any("LVDT readings come" in text for text in valve["left_out"])

@@ -105,12 +105,6 @@ def analysed(bag, capsys):
     return json.loads((bag.parent / "a.json").read_text())["axes"][""], said[said.index("axis /") :]
 
 
-def test_the_speed_is_that_of_the_goals_that_have_one_and_pressures_may_be_no_numbers(tmp_path, capsys):
-    axis, said = analysed(small(tmp_path, pressure=np.nan, fast=lambda k: k % 2 == 1), capsys)
-    assert axis["speed_max_m_s"] == 0.1 and axis["e_max_m"] == 0.0 and axis["readings"] == 50
-    assert axis["pressures_Pa"] == {} and "pressure_a" not in said
-
-
 def test_topics_of_an_axis_that_cannot_be_read_leave_the_valve(tmp_path, capsys):
     """A topic of another type was 0 readings without a word; one without a definition ended the analysis."""
     axis, said = analysed(small(tmp_path, joints=FLOAT), capsys)

@@ -4,14 +4,12 @@
 
 import numpy as np
 import pytest
-from made import BEGIN, FLOAT, Run, number, write
+from made import BEGIN, Run, number, write
 
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation import offline
 from valve_control.recordings import what_if
 from valve_control.recordings.analysis import analyze, as_dict
-from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.mapping import parse_map
 from valve_control.recordings.recording import align, load
 
 
@@ -65,14 +63,6 @@ def test_analysis_finds_parameters_changes_segments_and_estimates(run, tmp_path)
     # The state of every tenth sample is before that sample's adaptation.
     assert valve["theta"] is not None and len(valve["theta"]) == 4
     assert valve["left_out"] == [] and about["left_out"] == []
-
-
-def test_indices_are_those_of_the_arrays(run, tmp_path):
-    part = analyze(load(write(tmp_path / "bag", run.messages))).valves["valve"].parts[0]
-    error = np.array(run.readings) - 2.0 * np.sin(2.0 * np.pi * np.arange(2000) * 1e-3)
-    assert part.indices.e_M == pytest.approx(np.max(np.abs(error)))
-    assert part.indices.e_rms == pytest.approx(np.sqrt(np.mean(error**2)))
-    assert part.indices.u_rms == pytest.approx(np.sqrt(np.mean(np.square(run.voltages))))
 
 
 def test_two_valves_are_two_namespaces(tmp_path):
@@ -139,44 +129,6 @@ def test_a_publisher_whose_clock_is_set_back_is_placed_by_the_times_of_recording
     assert result.valves["valve"].parts[0].indices.e_rms < 0.2
 
 
-def test_a_recorder_whose_clock_is_set_back_keeps_one_part_of_all_signals(run, tmp_path):
-    """After 60 % of the run, every time is 10 s earlier: the longer part is kept, of each topic the same."""
-    from made import BEGIN, STORE
-
-    from valve_control.recordings.bags.writer import BagWriter
-
-    with BagWriter(tmp_path / "bag", "mcap") as writer:
-        known = set()
-        for m in sorted(run.messages, key=lambda m: m.log_time):
-            if m.topic not in known:
-                known.add(m.topic)
-                text, _ = STORE.generate_msgdef(m.type, ros_version=2)
-                writer.add_topic(m.topic, m.type, text, STORE.hash_rihs01(m.type))
-            back = 10 * 10**9 if m.log_time > BEGIN + 1_200_000_000 else 0
-            writer.write(m.topic, m.log_time - back, m.time - back, m.sequence, m.data)
-    result, notes = said(tmp_path / "bag")
-    text = " ".join(notes)
-    for topic in ("/spool_command", "/spool_position", "/valve_voltage"):
-        assert f"time goes backwards on /spool_position 1 time(s); only part 1 of {topic}" in text
-    signals = result.valves["valve"].signals
-    assert 1190 <= len(signals.time) <= 1200
-    assert np.array_equal(signals.measurement, run.readings[: len(signals.time)])
-    assert result.valves["valve"].parts[0].indices.e_rms < 0.2
-
-
-@pytest.mark.parametrize("offset", [-0.3, -0.005, 0.02, 3600.0])
-def test_publishers_on_different_clocks_are_said_and_placed_by_the_times_of_recording(run, tmp_path, offset):
-    """Also when the clocks are only 5 ms apart, which would make errors look small or large."""
-    messages = [
-        m._replace(time=m.time + round(offset * 1e9)) if m.topic == "/spool_position" else m
-        for m in run.messages
-    ]
-    right = analyze(load(write(tmp_path / "right", run.messages))).valves["valve"].parts[0].indices
-    result, notes = said(write(tmp_path / "bag", messages))
-    assert "publishers' clocks differ" in " ".join(notes)
-    assert result.valves["valve"].parts[0].indices.e_rms == pytest.approx(right.e_rms, rel=0.1)
-
-
 def test_a_busy_recorder_is_not_taken_for_clocks_that_differ(run, tmp_path):
     """It stands still four times for 0.1 to 0.3 s; commands it takes for 40 ms of each 100 ms only."""
     messages = []
@@ -218,28 +170,6 @@ def test_a_change_alone_is_not_taken_for_all_parameters(run, tmp_path):
     assert f"does not have {count} parameters of /controller from its beginning" in " ".join(notes)
 
 
-def test_a_topic_of_another_type_under_a_known_name_is_left_out(run, tmp_path):
-    from made import STRING, string
-
-    alien = run.messages[5]._replace(topic="/hmi/spool_position", type=STRING, data=string("hello"))
-    result, notes = said(write(tmp_path / "bag", [*run.messages, alien]))
-    assert list(result.valves) == ["valve"] and "/hmi/spool_position" in " ".join(notes)
-
-
-def test_a_namespace_called_valve_is_not_the_root(tmp_path):
-    root, named = Run(), Run(2, namespace="/valve", controller={"controller": "pid"})
-    root.move(200)
-    named.move(200)
-    result = analyze(load(write(tmp_path / "bag", root.messages + named.messages)))
-    assert {name: v.controller for name, v in result.valves.items()} == {"valve": "arc", "/valve": "pid"}
-
-
-@pytest.mark.parametrize("option", [{"start": float("nan")}, {"end": float("inf")}, {"start": -1.0}])
-def test_a_part_that_is_no_time_is_refused(run, tmp_path, option):
-    with pytest.raises(BagError, match="seconds"):
-        load(write(tmp_path / "bag", run.messages), **option)
-
-
 def test_a_little_disorder_is_sorted(run, tmp_path):
     messages = list(run.messages)
     where = [j for j, m in enumerate(messages) if m.topic == "/spool_position"]
@@ -279,15 +209,6 @@ def test_topics_without_a_slash_and_types_without_msg_are_read(run, tmp_path, st
     assert np.array_equal(mapped.signals["spool_position"].value, run.readings)
 
 
-def test_no_messages_at_all_is_an_error(run, tmp_path):
-    from valve_control.recordings.bags.writer import BagWriter
-
-    with BagWriter(tmp_path / "bag", "mcap") as writer:
-        writer.add_topic("/spool_position", FLOAT, "float64 data", "")
-    with pytest.raises(BagError, match="no message|empty"):
-        load(tmp_path / "bag")
-
-
 # Mapping
 
 
@@ -323,35 +244,6 @@ def test_any_number_can_play_a_part(run, tmp_path, scale, unit):
     signals = align(valve)
     assert np.allclose(signals.measurement, run.readings, atol=1e-12)
     assert np.array_equal(signals.voltage, run.voltages) and np.all(np.isfinite(signals.command))
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("spool_position", ["--map", "part=/topic.field"]),
-        ("position=/x", ["--map", "spool_position"]),
-        ("spool_position=/x.a*b", ["'*b'", "number"]),
-        ("spool_position=/x.a*0", ["*factor"]),
-        ("spool_position=/x.a*2-", ["*factor"]),
-        ("spool_position=/x.a@mA", ["'mA'", "4..20mA"]),
-        ("spool_position=*2", ["/topic.field@4..20mA"]),
-        ("spool_position=/x.a b", ["field"]),
-        ("spool_position=", ["--map"]),
-    ],
-)
-def test_a_wrong_mapping_is_refused(text, words):
-    with pytest.raises(BagError) as caught:
-        parse_map(text)
-    for word in words:
-        assert word in str(caught.value)
-
-
-def test_mapping_to_what_is_not_there(run, tmp_path):
-    bag = write(tmp_path / "bag", run.messages)
-    with pytest.raises(BagError, match="/nothing"):
-        load(bag, ["spool_position=/nothing.data"])
-    with pytest.raises(BagError, match="there is no number 'speed'"):
-        load(bag, ["spool_position=/spool_position.speed"])
 
 
 # What-if

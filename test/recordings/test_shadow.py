@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shadow replay against the controller that made the recording."""
 
-import re
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -11,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import ARRAY, BEGIN, STORE, STRING, Run, array, in_file_order, string, write
+from made import ARRAY, BEGIN, STORE, Run, array, in_file_order, write
 
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.supervision.journal import COLUMNS, HEAD, Journal
+from valve_control.control.supervision.journal import COLUMNS, HEAD
 from valve_control.parameter import ParameterError, defaults
-from valve_control.recordings import replay_report, shadow
+from valve_control.recordings import shadow
 from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.mapping import find_valves
@@ -162,12 +161,6 @@ def test_whatever_happens(steps, seed):
     assert not any("account" in text for text in result.left_out)
 
 
-def from_the_middle(run, tmp_path, seconds):
-    """The bag of a recorder that came when the controller had run for a while."""
-    later = run.time - round(seconds * 1e9)
-    return write(tmp_path / "bag", run.messages, keep=lambda m: m.time > later)
-
-
 @settings(max_examples=40, deadline=None)
 @given(
     steps=st.lists(st.sampled_from(list(STEPS)), min_size=6, max_size=16),
@@ -197,16 +190,6 @@ def test_with_gaps_and_from_the_middle(steps, begin, lost):
     assert np.array_equal(result.voltage[-80:], run.voltages[-80:])
     heard = sum(m.time > first for m in run.messages if m.topic == "/valve_voltage")
     assert heard <= len(result.voltage) or any("not in the part" in text for text in result.left_out)
-
-
-def test_readings_lost_on_their_way_to_the_controller_are_counted(tmp_path):
-    run = Run()
-    for _ in range(20):
-        run.move(20)
-        run.move(3, lost=True)
-    run.move(20)
-    result = shadowed(write(tmp_path / "bag", run.messages))
-    assert result.differing == 0 and result.left_out == ["60 readings did not reach the controller"]
 
 
 def test_a_controller_that_was_restarted_with_other_parameters(tmp_path):
@@ -270,42 +253,6 @@ def test_another_controller_in_shadow(tmp_path):
     assert np.corrcoef(result.voltage[100:], result.recorded[100:])[0, 1] > 0.8
 
 
-def test_without_the_topic_of_the_voltage_the_journal_has_it(tmp_path):
-    run = Run()
-    run.move(200)
-    result = shadowed(write(tmp_path / "bag", run.messages, keep=lambda m: not m.topic.endswith("voltage")))
-    assert result.faithful and result.differing == 0 and np.array_equal(result.recorded, run.voltages)
-
-
-def test_without_voltages_the_shadow_still_says_what_it_would_give(tmp_path):
-    run = Run(stamped=True)
-    run.move(200)
-    keep = ("/spool_command", "/spool_position", "/parameter_events")
-    result = shadowed(write(tmp_path / "bag", run.messages, keep=lambda m: m.topic in keep))
-    assert not result.faithful and len(result.voltage) == 200 and np.all(np.isnan(result.recorded))
-    assert result.voltage == pytest.approx(run.voltages, abs=1e-9)
-
-
-@pytest.mark.parametrize("skew", [-150_000_000, 150_000_000])
-def test_the_clock_of_a_recorder_without_source_times_may_be_another(tmp_path, skew):
-    run = Run()
-    run.move(500)
-    moved = [m._replace(time=m.log_time + skew, log_time=m.log_time + skew) for m in run.messages]
-    result = shadowed(write(tmp_path / "bag", moved))
-    assert result.faithful and result.differing == 0 and np.array_equal(result.voltage, run.voltages)
-
-
-@pytest.mark.parametrize("gone", ["state", "parameter_events", "spool_command", "spool_position"])
-def test_the_journal_and_its_accounts_are_enough(tmp_path, gone):
-    run = Run()
-    run.move(500)
-    bag = write(tmp_path / "bag", run.messages, keep=lambda m: not m.topic.endswith(gone))
-    recording = load(bag, journals=True)
-    result = shadow.replay(recording.valves["valve"], {})
-    assert result.faithful and result.differing == 0 and np.array_equal(result.voltage, run.voltages)
-    assert not any("parameters" in text for text in recording.valves["valve"].problems)
-
-
 def test_a_part_begins_where_it_was_asked_for(tmp_path):
     run = Run(memory_every=400)
     run.move(1500)
@@ -329,28 +276,6 @@ def test_without_an_account_nothing_is_made_up(tmp_path):
     bag = write(tmp_path / "bag", odd, keep=lambda m: m.time > half)
     with pytest.raises(BagError, match="no account on ~/memory"):
         shadowed(bag)
-
-
-def test_accounts_of_another_version_are_told_as_such(tmp_path):
-    run = Run()
-    run.move(300)
-    messages = [
-        m._replace(data=string(re.sub("effective", "other", STORE.deserialize_cdr(m.data, STRING).data)))
-        if m.topic.endswith("memory") else m for m in run.messages
-    ]  # fmt: skip
-    with pytest.raises(BagError, match="another version"):
-        shadowed(write(tmp_path / "bag", messages))
-
-
-def test_other_gains_begin_with_the_command_in_force(tmp_path):
-    """The command was sent once, before the recorder came."""
-    run = Run(controller={"command_timeout": 0.0})
-    run.sample(1.0)
-    for _ in range(800):
-        run.sample()
-    result = shadowed(from_the_middle(run, tmp_path, 0.5), controller="oarc")
-    assert not result.faithful and np.all(result.command == 1.0)
-    assert np.mean(result.voltage) > 0.5
 
 
 def test_other_gains_across_a_gap_of_the_journal(tmp_path):
@@ -377,33 +302,6 @@ def test_overrides_are_checked_with_the_recorded_parameters(tmp_path):
         shadowed(bag, arc__theta_max=[17.0, *upper[1:]])
 
 
-def test_signals_that_are_mapped_do_not_follow_the_journal(tmp_path):
-    run = Run()
-    run.move(300)
-    bag = write(tmp_path / "bag", run.messages)
-    valve = load(bag, maps=["spool_position=/spool_position.data*-1.0"], journals=True).valves["valve"]
-    result = shadow.replay(valve, {})
-    assert result.differing > 200 and any("--map" in text for text in result.left_out)
-
-
-def test_after_a_new_start_a_second_publisher_is_reported_again():
-    supervisor = Run().supervisor
-    journal = Journal(supervisor)
-    journal.publishers("spool_position", 2)
-    journal.stop()
-    journal.start()
-    journal.publishers("spool_position", 2)
-    assert "2 publishers" in supervisor.reason
-
-
-def test_a_command_that_is_gone_is_one_row():
-    journal = Journal(Run().supervisor)
-    journal.take()
-    for _ in range(1000):
-        journal.command_gone()
-    assert len(journal) == 1
-
-
 def test_a_trajectory_is_replayed_bit_for_bit_with_what_was_refused(tmp_path):
     run = Run(3, memory_every=200, stamped=True)
     run.move(30)
@@ -422,17 +320,6 @@ def test_a_trajectory_is_replayed_bit_for_bit_with_what_was_refused(tmp_path):
     assert not any("remembered something else" in text for text in result.left_out), result.left_out
 
 
-def test_the_chatter_of_a_recording_with_gaps_is_that_of_its_steps():
-    """The way of the voltage over a gap counted as one step."""
-    time = np.arange(6) * 1e-3
-    recorded = np.array([1.0, 2.0, np.nan, np.nan, 9.0, 8.0])
-    voltage = np.array([1.0, 2.0, 1.0, 2.0, 1.0, 2.0])
-    result = shadow.Shadow(time, "arc", voltage, voltage, recorded, voltage, False, [])
-    about = replay_report.of_shadow(result, "bag", "valve").about
-    assert about["recorded"]["c_u"] == pytest.approx(1.0 / about["recorded"]["u_rms"])
-    assert about["recorded"]["max"] == 9.0 and about["compared"] == 4
-
-
 def test_state_and_journal_are_those_of_one_controller(tmp_path):
     """Of two controllers in a namespace the first topic of each kind was taken, in the order of the file."""
     run = Run()
@@ -444,12 +331,3 @@ def test_state_and_journal_are_those_of_one_controller(tmp_path):
     path = in_file_order(tmp_path / "bag", [*(firsts[name] for name in order), *readings])
     found = find_valves(Bag(path))["valve"]
     assert (found.state, found.journal) == ("/controller/state", "/controller/journal")
-
-
-def test_parameters_are_those_of_the_controller_whose_state_is_there(tmp_path):
-    """Of two controllers in a namespace those were taken that told theirs last."""
-    run = Run()
-    run.say("/shadow", {**run.values, "controller": "pid"}, new=True)
-    run.move(50)
-    valve = load(write(tmp_path / "bag", run.messages)).valves["valve"]
-    assert (valve.controller.name, valve.controller.initial["controller"]) == ("/controller", "arc")

@@ -2,22 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of numbers, text and MATLAB files, read as bags: the same run as a bag is the reference."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import Run, write
 from scipy.io import savemat
 
-from valve_control.recordings.analysis import about_bag, analyze
 from valve_control.recordings.bags import columns
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.table import TableFile
 from valve_control.recordings.recording import align, load
-from valve_control.recordings.tables import maps_of
 
 PLAIN = ["spool_command=command", "spool_position=lvdt", "valve_voltage=u"]
 
@@ -180,23 +174,6 @@ def test_empty_cells_are_no_messages(tmp_path, reference):
     assert any("command is empty in 810 of 900 rows" in note for note in recording.problems)
 
 
-def test_indices_are_those_of_the_bag(tmp_path, reference):
-    path = tmp_path / "log.csv"
-    path.write_text(HEADER + text(rows(reference)))
-    result = analyze(load(path, PLAIN)).valves["valve"]
-    error = reference.measurement - reference.command
-    assert result.parts[0].indices.e_rms == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=1e-12)
-    assert result.timing["spool_position"].gaps == 0 and result.timing["spool_position"].lost is None
-    assert result.timing["spool_position"].rate_hz == pytest.approx(1000.0)
-
-
-def test_a_column_of_a_namespace_is_a_valve_of_its_own(tmp_path, reference):
-    table = rows(reference)
-    path = tmp_path / "log.csv"
-    path.write_text("time,boom/spool_position,boom/spool_command\n" + text(table[:, [0, 2, 1]]))
-    assert list(load(path).valves) == ["boom"]
-
-
 GOOD = HEADER + "0,0,0,0\n0.001,0,1,0\n0.002,0,2,0\n"
 REFUSED = {
     "no such column": (
@@ -205,11 +182,6 @@ REFUSED = {
         "has no column lvdt_mA; it has time_s, command, lvdt, u",
     ),
     "no number": (GOOD.replace("0.001,0,1", "0.001,0,one"), PLAIN, "column lvdt holds 'one' in line 3"),
-    "no number far below": (
-        HEADER + "".join(f"{k},0,{'x1' if k == 700 else 1},0\n" for k in range(900)),
-        PLAIN,
-        "column lvdt holds 'x1' in line 702",
-    ),
     "a ragged row": (GOOD + "0.003,0,1\n", PLAIN, "line 5 has 3 entries, line 2 has 4"),
     "time that runs backwards": (
         GOOD + "0.001,0,1,0\n",
@@ -217,33 +189,25 @@ REFUSED = {
         "backwards from row 3 to row 4, from 0.002 to 0.001",
     ),
     "a time that is missing": (GOOD + ",0,1,0\n", PLAIN, "no time in row 4"),
-    "a time that stands": (GOOD.replace("0.001", "0").replace("0.002", "0"), PLAIN, "same time"),
     "time without its factor": (
         "stamp,y\n1790000000000000000,1\n1790000000001000000,2\n",
         ["spool_position=y"],
         "1e-9",
     ),
-    "no time at all": ("a,b\n1,2\n3,4\n", ["spool_position=a"], "--map time=COLUMN"),
     "several times": ("t,time,y\n1,2,3\n3,4,3\n", ["spool_position=y"], "t, time may be times"),
     "two columns of one name": (
         "time,y,y\n0,1,2\n1,1,2\n",
         ["spool_position=y"],
         "2 columns y; take one by its number",
     ),
-    "no part": (GOOD, [], "name the columns that play their parts with --map spool_position=COLUMN"),
-    "a scale that is none": (GOOD, ["spool_position=lvdt*0"], "is no scale"),
-    "time twice": (GOOD, [*PLAIN, "time=row*1", "time=time_s"], "mapped already, by --map time=row"),
     "no numbers": ("a,b\nc,d\n", PLAIN, "no table of numbers"),
-    "nothing": ("", PLAIN, "is empty"),
     "commas that may be thousands": (
         "time\ty\n0\t1,250\n1\t1,350\n",
         ["spool_position=y"],
         "decimals or thousands",
     ),
     "a comma among points": ("time\ty\n0.5\t1.25\n1.5\t1,35\n", ["spool_position=y"], "with a comma where"),
-    "one row": ("time,y\n1,2\n", ["spool_position=y"], "1 row"),
     "no text": (b"time,y\n\0\0\0", PLAIN, "no table of numbers"),
-    "an empty column": ("time,y\n1,\n2,\n", ["spool_position=y"], "column y holds nothing"),
 }
 
 
@@ -256,13 +220,6 @@ def test_a_table_that_cannot_be_used_is_refused_in_one_sentence(tmp_path, kind):
         load(path, maps)
     said = str(caught.value)
     assert words in said and "\n" not in said and (str(path) in said or said.startswith("--map "))
-
-
-def test_a_bad_column_that_nobody_needs_does_no_harm(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text(GOOD.replace("0.002,0,2,0", "0.002,n.a.,2,off"))
-    recording = load(path, ["spool_position=lvdt"])
-    assert recording.valves["valve"].signals["spool_position"].value.tolist() == [0.0, 1.0, 2.0]
 
 
 def test_matlab_files_that_cannot_be_used(tmp_path):
@@ -291,49 +248,6 @@ def test_matlab_files_that_cannot_be_used(tmp_path):
             load(tmp_path / "lengths.mat", [f"spool_position={column}"])
 
 
-def test_a_function_in_a_matlab_file_is_no_vector():
-    """It is an array without dimensions, over which nothing can iterate: a traceback."""
-    path = Path(scipy.io.__file__).parent / "matlab/tests/data/testfunc_7.4_GLNX86.mat"
-    if not path.exists():
-        pytest.skip("scipy is installed without the data of its tests")
-    with pytest.raises(BagError, match=r"no vector of numbers; it has testfunc \(object array\)"):
-        load(path, PLAIN)
-
-
-def test_a_quoted_cell_longer_than_csv_takes_is_no_number(tmp_path):
-    """The error of csv was a traceback."""
-    path = tmp_path / "a.csv"
-    path.write_text(f'time,y\n0,1\n1,"{"a" * 200_000}"\n2,3\n')
-    time, y = columns.read(path)
-    assert time.values.tolist() == [0.0, 1.0, 2.0] and "line 3, which is no number" in y.flaw
-
-
-def test_each_column_is_a_topic_of_its_own(tmp_path):
-    """The first and the second were both /2, and their numbers one column."""
-    path = tmp_path / "a.csv"
-    path.write_text("2,y,y\n" + "0,10,20\n" * 5)
-    table = TableFile(path)
-    assert [topic.name for topic in table.topics] == ["/1", "/2", "/3"] and table.column("2") == 0
-
-
-def test_options_that_a_table_cannot_have(tmp_path, reference):
-    path = tmp_path / "log.csv"
-    path.write_text(GOOD)
-    with pytest.raises(BagError, match="rows have one time"):
-        load(path, PLAIN, clock="publish")
-    run = Run()
-    run.move(30)
-    with pytest.raises(BagError, match="has times of its own"):
-        load(write(tmp_path / "bag", run.messages), ["time=row*0.001"])
-
-
-def test_maps_of_a_table_and_a_bag():
-    maps = ["time=row*0.001", "spool_position=y", "spool_position=/lvdt.data", "spool_command=c"]
-    assert maps_of("a.csv", maps, ["a.csv", "bag"]) == [maps[0], maps[1], maps[3]]
-    assert maps_of("bag", maps, ["a.csv", "bag"]) == [maps[2]]
-    assert maps_of("a.csv", maps, ["a.csv"]) == maps
-
-
 numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
 
@@ -357,30 +271,3 @@ def test_any_table_comes_back_or_is_doubted(tmp_path_factory, table, separator, 
     for column, wanted in zip(found, np.array(table).T, strict=True):
         assert column.flaw or np.array_equal(column.values, wanted)
         assert not column.flaw or (comma and "thousands" in column.flaw)
-
-
-def test_the_length_of_a_table_is_that_of_its_rows(tmp_path):
-    """Beginning and length were those of a command that counts as 0.4 periods before its reading."""
-    path = tmp_path / "a.csv"
-    rows = [f"{k * 1e-3},1,{k % 7}" for k in range(500)]
-    path.write_text("\n".join(["time,spool_command,spool_position", *rows]))
-    about = about_bag(analyze(load(path, [], 0.2)))
-    assert about["start"] == "0.2 s" and about["duration_s"] == pytest.approx(0.299, abs=1e-12)
-
-
-def test_a_figure_of_runs_without_readings_is_refused(tmp_path, run):
-    """It was an empty figure, and a warning of the library that draws."""
-    (tmp_path / "a.csv").write_text("time,spool_command\n" + "".join(f"{k * 1e-3},1\n" for k in range(20)))
-    done = run("compare", "a.csv", "--figure", "x.png")
-    assert done.status == 2 and done.out == "" and "nothing for --figure" in done.err
-    assert not (tmp_path / "x.png").exists()
-
-
-def test_a_pause_is_no_step_and_the_last_two_seconds_are_those_of_the_clock(tmp_path):
-    """Samples were counted: two seconds of them went back to before the pause."""
-    time = np.concatenate([np.arange(3000), np.arange(5500, 6000)]) * 1e-3
-    error, voltage = np.where((time > 2.85) & (time < 2.9), 1.0, 0.0), np.where(time < 4.0, 1.0, 5.0)
-    rows = [f"{t},0,{e},{u}" for t, e, u in zip(time.tolist(), error.tolist(), voltage.tolist(), strict=True)]
-    (tmp_path / "a.csv").write_text("\n".join(["time,spool_command,spool_position,valve_voltage", *rows]))
-    found = analyze(load(tmp_path / "a.csv")).valves["valve"].parts[0].indices
-    assert (found.e_M, found.e_F, found.c_u) == (1.0, 0.0, 0.0)

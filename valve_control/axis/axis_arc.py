@@ -62,12 +62,6 @@ class Params(NamedTuple):
     model: Model
 
 
-class State(NamedTuple):
-    """Estimates."""
-
-    theta: Theta
-
-
 class Measured(NamedTuple):
     """What the law needs to know of the axis."""
 
@@ -121,17 +115,12 @@ def adapted(low: float, high: float, value: float, rate: float, period: float) -
     return clip(value + period * rate, low, high)
 
 
-def initial(theta: Theta) -> State:
-    """Begin with the estimates ``theta``."""
-    return State(theta)
-
-
-def step(p: Params, s: State, goal: Goal, jerk: float, x: Measured) -> tuple[float, State, Terms]:
-    """Compute one sample; returns the spool command [V], the next state and the terms.
+def step(p: Params, t: Theta, goal: Goal, jerk: float, x: Measured) -> tuple[float, Theta, Terms]:
+    """Compute one sample with the estimates ``t``; returns spool command [V], next ones and terms.
 
     ``jerk`` [m/s³]: of the goal. The estimates rest while the command is at its limit.
     """
-    t, m = s.theta, p.model
+    m = p.model
     v = x.velocity
     load = x.pressure_a * m.area_a - x.pressure_b * m.area_b
     ratio = v / p.friction_velocity
@@ -182,8 +171,8 @@ def step(p: Params, s: State, goal: Goal, jerk: float, x: Measured) -> tuple[flo
     spool = beyond + p.overlap * saturate(beyond / p.overlap_zone, 1.0)
     command = saturate(spool, p.limit)
     if command != spool:
-        return command, s, Terms(z1, z2, z3, opening, command)
+        return command, t, Terms(z1, z2, z3, opening, command)
     change = p.gamma.bulk * p.w3 * z3 * (q * opening - h * v)
     bulk = adapted(p.low.bulk, p.high.bulk, t.bulk, change, p.period)
     theta = Theta(theta.mobility, theta.damping, theta.friction, theta.force, bulk)
-    return command, State(theta), Terms(z1, z2, z3, opening, command)
+    return command, theta, Terms(z1, z2, z3, opening, command)

@@ -38,7 +38,7 @@ class Params(NamedTuple):
 class State(NamedTuple):
     """Estimates, observer, and what was wanted at the sample before."""
 
-    arc: axis_arc.State
+    theta: Theta
     samples: float  # periods from the last reading to the next; 0.0: there has been none
     position: float  # m
     velocity: float  # m/s
@@ -64,12 +64,12 @@ AT_REST = Terms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 def initial(p: Params) -> State:
     """Before the first reading."""
-    return State(axis_arc.initial(p.begin), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return State(p.begin, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def estimates(s: State) -> dict[str, float]:
     """What has been learnt of the axis, by name with unit."""
-    t = s.arc.theta
+    t = s.theta
     mass = 1.0 / t.mobility
     return {
         "mass_kg": mass,
@@ -95,7 +95,7 @@ def observed(p: Params, s: State, reading: Reading) -> State:
     """State that has taken in a ``reading``; with the first one the axis is at rest there."""
     if s.samples == 0.0:
         return State(
-            s.arc,
+            s.theta,
             1.0,
             reading.position,
             0.0,
@@ -111,7 +111,7 @@ def observed(p: Params, s: State, reading: Reading) -> State:
     position, velocity = predicted(p, s, force)
     off = reading.position - position
     return State(
-        s.arc,
+        s.theta,
         1.0,
         position + p.by_position * off,
         velocity + p.by_velocity * off,
@@ -125,7 +125,7 @@ def observed(p: Params, s: State, reading: Reading) -> State:
 def predicted(p: Params, s: State, force: float) -> tuple[float, float]:
     """Position [m] and velocity [m/s] one period after ``s``, under a load ``force`` [N] over it."""
     period = p.law.period
-    acceleration = explained(p.law, s.arc.theta, s.velocity, force) + s.unexplained
+    acceleration = explained(p.law, s.theta, s.velocity, force) + s.unexplained
     position = s.position + period * (s.velocity + 0.5 * period * acceleration)
     return position, s.velocity + period * acceleration
 
@@ -152,16 +152,16 @@ def step(p: Params, s: State, goal: Goal, reading: Reading) -> tuple[float, Stat
     s = observed(p, s, reading)
     jerk = (goal.acceleration - s.acceleration) / (periods * p.law.period)
     force = load_force(p.law.model, s.pressure_a, s.pressure_b)
-    acceleration = explained(p.law, s.arc.theta, s.velocity, force) + s.unexplained
+    acceleration = explained(p.law, s.theta, s.velocity, force) + s.unexplained
     velocity = s.velocity + p.lead * acceleration
     position = s.position + p.lead * (s.velocity + 0.5 * p.lead * acceleration)
     x = Measured(position, velocity, s.pressure_a, s.pressure_b)
-    command, arc, found = axis_arc.step(p.law, s.arc, ahead(p.lead, goal, jerk), jerk, x)
+    command, theta, found = axis_arc.step(p.law, s.theta, ahead(p.lead, goal, jerk), jerk, x)
     terms = Terms(goal.position - reading.position, s.velocity, command, found.z2, found.z3, s.unexplained)
     return (
         command,
         State(
-            arc,
+            theta,
             1.0,
             s.position,
             s.velocity,
@@ -202,7 +202,7 @@ PARAMETERS: Table = (
         "axis_arc.coupling",
         0.0,
         "1/s",
-        "coupling rate of the errors of velocity and load force; 0: the natural frequency of the axis",
+        "coupling of velocity and force error; 0: natural frequency",
         0.0,
         1e4,
     ),
@@ -210,60 +210,32 @@ PARAMETERS: Table = (
         "axis_arc.learning",
         1.0,
         "m/s",
-        "velocity error that has the same weight as an estimate that is off by its whole range; a "
-        "smaller one adapts faster",
+        "velocity error that weighs as an estimate off by its range",
         1e-6,
         1e6,
     ),
     Parameter(
-        "axis_arc.uncertainty",
-        0.4,
-        "-",
-        "share by which each estimate may deviate from its initial value",
-        0.0,
-        0.9,
+        "axis_arc.uncertainty", 0.4, "-", "share by which each estimate may leave its initial value", 0.0, 0.9
     ),
     Parameter(
-        "axis_arc.force_range",
-        1000.0,
-        "N",
-        "largest deviation of the constant force from its initial value",
-        0.0,
-        1e8,
+        "axis_arc.force_range", 1000.0, "N", "largest change of the estimated constant force", 0.0, 1e8
     ),
     Parameter("axis_arc.mass", 0.0, "kg", "initial estimate of the mass; 0: that of the machine", 0.0, 1e7),
-    Parameter(
-        "axis_arc.bulk_modulus",
-        0.0,
-        "Pa",
-        "initial estimate of the bulk modulus; 0: that of the machine",
-        0.0,
-        1e11,
-    ),
+    Parameter("axis_arc.bulk_modulus", 0.0, "Pa", "initial bulk modulus; 0: that of the machine", 0.0, 1e11),
     Parameter(
         "axis_arc.friction_velocity",
         0.02,
         "m/s",
-        "width of the transition of friction over the velocity",
+        "width of the turn of friction over the velocity",
         1e-5,
         10.0,
     ),
     Parameter(
-        "axis_arc.overlap_zone",
-        0.2,
-        "V",
-        "command beyond the overlap from which the compensation is complete",
-        1e-6,
-        100.0,
+        "axis_arc.overlap_zone", 0.2, "V", "command beyond the overlap of whole compensation", 1e-6, 100.0
     ),
     Parameter("axis_arc.observer", 150.0, "1/s", "the three equal poles of the velocity observer", 1.0, 1e5),
     Parameter(
-        "axis_arc.lead",
-        0.002,
-        "s",
-        "delay from a command to its opening, by valve and sampling",
-        0.0,
-        0.1,
+        "axis_arc.lead", 0.002, "s", "delay from a command to its opening, by valve and sampling", 0.0, 0.1
     ),
     Parameter("axis_arc.pressure_cutoff", 200.0, "Hz", "cut-off of the low-pass of both pressures", 1.0, 1e5),
 )

@@ -35,7 +35,7 @@ CONSTANT_VOLUME = 1e9  # m³; a supply so large that no flow changes its pressur
 
 def of_node(*parameters: Parameter) -> Table:
     """``parameters`` that only a node reads."""
-    return tuple(parameter._replace(node_only=True) for parameter in parameters)
+    return tuple(p._replace(node_only=True, text=f"{p.text}") for p in parameters)
 
 
 AXIS: Table = (
@@ -53,38 +53,21 @@ AXIS: Table = (
     ),
     Parameter("cylinder.leakage", 1e-13, "m³/s/Pa", "laminar leakage between the chambers", 0.0, 1e-6),
     Parameter(
-        "cylinder.external_leakage",
-        0.0,
-        "m³/s/Pa",
-        "laminar leakage from each chamber to the tank",
-        0.0,
-        1e-6,
+        "cylinder.external_leakage", 0.0, "m³/s/Pa", "laminar leakage of each chamber to the tank", 0.0, 1e-6
     ),
     Parameter("load.mass", 200.0, "kg", "moving mass, reduced to the piston", 1e-3, 1e7),
     Parameter("load.damping", 500.0, "N·s/m", "viscous friction", 0.0, 1e8),
     Parameter("load.stiffness", 0.0, "N/m", "stiffness of the spring", 0.0, 1e10),
     Parameter("load.rest", 0.0, "m", "position at which the spring has no force", -100.0, 100.0),
     Parameter("load.force", 0.0, "N", "external force, positive in the direction of extension", -1e8, 1e8),
-    Parameter(
-        "load.inclination",
-        0.0,
-        "deg",
-        "angle of the direction of extension above the horizontal",
-        -90.0,
-        90.0,
-    ),
+    Parameter("load.inclination", 0.0, "deg", "angle of the extension above the horizontal", -90.0, 90.0),
     Parameter("load.coulomb", 0.0, "N", "Coulomb friction", 0.0, 1e7),
     Parameter("load.static_ratio", 1.0, "-", "static friction over Coulomb friction", 1.0, 10.0),
     Parameter("load.stribeck_velocity", 0.02, "m/s", "velocity at which the static part decays", 1e-6, 10.0),
     Parameter("load.presliding", 2e-5, "m", "travel over which Coulomb friction builds up", 1e-7, 0.01),
     Parameter("fluid.bulk_modulus", 1.4e9, "Pa", "effective bulk modulus, with lines and air", 1e7, 1e11),
     Parameter(
-        "fluid.vapour_pressure",
-        3000.0,
-        "Pa",
-        "absolute vapour pressure; no pressure falls below it",
-        0.0,
-        1e5,
+        "fluid.vapour_pressure", 3000.0, "Pa", "absolute vapour pressure, below which none falls", 0.0, 1e5
     ),
     Parameter("fluid.tank_pressure", 1e5, "Pa", "absolute pressure in the tank and around the rod", 1e3, 1e7),
     Parameter("spool.flow", 5e-4, "m³/s", "flow over one fully open edge at spool.flow_pressure", 1e-9, 1.0),
@@ -94,19 +77,13 @@ AXIS: Table = (
         "spool.overlap",
         [0.03, 0.03, 0.03, 0.03],
         "-",
-        "overlap of the edges P-A, P-B, A-T, B-T, as a share of full_scale; negative: underlap",
+        "overlap of P-A, P-B, A-T, B-T over full_scale",
         -0.5,
         0.9,
         length=4,
     ),
     Parameter(
-        "spool.gain",
-        [1.0, 1.0, 1.0, 1.0],
-        "-",
-        "gain of the same edges: flow over spool.flow",
-        0.0,
-        10.0,
-        length=4,
+        "spool.gain", [1.0, 1.0, 1.0, 1.0], "-", "flow of the same edges over spool.flow", 0.0, 10.0, length=4
     ),
     Parameter(
         "spool.laminar_pressure", 1e5, "Pa", "pressure difference below which the flow is laminar", 1.0, 1e7
@@ -115,16 +92,11 @@ AXIS: Table = (
         "supply.kind",
         "constant",
         "",
-        "constant: constant pressure; pump: constant flow, relief valve and volume",
+        "constant pressure, or pump and relief valve",
         choices=("constant", "pump"),
     ),
     Parameter(
-        "supply.pressure",
-        140e5,
-        "Pa",
-        "pressure of a constant supply; initial pressure of a pump supply",
-        1e5,
-        1e8,
+        "supply.pressure", 140e5, "Pa", "pressure of a constant supply; initial one of a pump's", 1e5, 1e8
     ),
     Parameter("supply.volume", 1e-3, "m³", "volume between pump and spool", 1e-7, 100.0),
     Parameter("supply.flow", 1e-3, "m³/s", "flow of the pump", 0.0, 10.0),
@@ -134,7 +106,7 @@ AXIS: Table = (
         "relief.spring",
         1e-8,
         "m³/s/Pa",
-        "flow of the relief valve per pressure above relief.pressure, by its spring",
+        "flow per pressure above relief.pressure, by its spring",
         1e-13,
         1e-3,
     ),
@@ -157,7 +129,7 @@ AXIS: Table = (
     Parameter("seed", 1, "", "seed of the noise of all sensors", 0, 2**31 - 1),
     Parameter("integration.steps", 4, "", "integration steps in a sample period", 1, 1000),
     *of_node(
-        Parameter("joint", "axis", "", "node: name of the joint on joint_states"),
+        Parameter("joint", "axis", "", "name of the joint on joint_states"),
         Parameter(
             "listeners", 1, "", "node, lockstep: number of subscriptions of joint_states to wait for", 0, 100
         ),
@@ -165,14 +137,14 @@ AXIS: Table = (
             "fault.position",
             "none",
             "",
-            "node: injected fault of the position sensor",
+            "injected fault of the position sensor",
             choices=("none", "silent", "frozen", "jump", "out_of_range", "not_finite"),
         ),
         Parameter(
             "fault.pressure",
             "none",
             "",
-            "node: injected fault of both pressure sensors",
+            "injected fault of both pressure sensors",
             choices=("none", "silent", "jump", "not_finite"),
         ),
     ),
@@ -185,8 +157,7 @@ AXIS_CONTROLLER: Table = (
         "upper_level",
         "axis_pid",
         "",
-        "axis_pid: velocity feedforward and PID; axis_arc: adaptive robust control of position, velocity "
-        "and load force",
+        "velocity feedforward and PID, or adaptive robust control (axis_arc)",
         choices=tuple(upper.LEVELS),
     ),
     *axis_pid.PARAMETERS,
@@ -195,7 +166,7 @@ AXIS_CONTROLLER: Table = (
         "course",
         "point_to_point",
         "",
-        "motion: point_to_point (limited in jerk), sine or step",
+        "motion; the first one is limited in jerk",
         choices=("point_to_point", "sine", "step"),
     ),
     Parameter("offset", 0.0, "m", "distance of the beginning of the course from start.position", -50.0, 50.0),
@@ -210,71 +181,42 @@ AXIS_CONTROLLER: Table = (
     MESSAGE,
     *of_node(
         Parameter(
-            "machine",
-            "",
-            "",
-            "node: data of the machine, for stroke and velocity gains: name of a file in config/axis, or "
-            "path of a parameter file",
+            "machine", "", "", "name in config/axis or parameter file that has stroke and velocity gains"
         ),
-        Parameter("joint", "axis", "", "node: name of the joint on joint_states and in trajectories"),
-        Parameter("lockstep", False, "", "node: answer each reading when all listeners are there"),
+        Parameter("joint", "axis", "", "name of the joint on joint_states and in trajectories"),
+        Parameter("lockstep", False, "", "answer each reading when all listeners are there"),
         Parameter(
-            "start_tolerance",
-            0.002,
-            "m",
-            "node: largest distance from the present goal to the start of a trajectory",
-            0.0,
-            50.0,
+            "start_tolerance", 0.002, "m", "largest distance of a trajectory's start from the goal", 0.0, 50.0
         ),
         Parameter(
-            "error_limit", 0.05, "m", "node: position error at which the axis is stopped; 0: none", 0.0, 50.0
+            "error_limit", 0.05, "m", "position error at which the axis is stopped; 0: none", 0.0, 50.0
         ),
         Parameter(
-            "sensor.timeout",
-            0.05,
-            "s",
-            "node: silence of a sensor at which the axis is stopped",
-            0.001,
-            100.0,
+            "sensor.timeout", 0.05, "s", "silence of a sensor at which the axis is stopped", 0.001, 100.0
         ),
         Parameter(
-            "sensor.tolerance", 0.002, "m", "node: tolerance of a position beyond stroke or speed", 0.0, 10.0
+            "sensor.tolerance", 0.002, "m", "tolerance of a position beyond stroke or speed", 0.0, 10.0
         ),
         Parameter(
-            "sensor.max_speed", 2.0, "m/s", "node: highest speed of a position that is not a jump", 1e-3, 1e3
+            "sensor.max_speed", 2.0, "m/s", "highest speed of a position that is not a jump", 1e-3, 1e3
         ),
         Parameter(
-            "sensor.pressure_high",
-            4e7,
-            "Pa",
-            "node: highest pressure that a pressure sensor can show",
-            1e5,
-            1e9,
+            "sensor.pressure_high", 4e7, "Pa", "highest pressure that a pressure sensor can show", 1e5, 1e9
         ),
         Parameter(
             "sensor.pressure_jump",
             2e7,
             "Pa",
-            "node: change of a pressure between two readings that counts as a jump",
+            "change of a pressure between readings that is a jump",
             1e4,
             1e9,
         ),
+        Parameter("sensor.hold_samples", 3, "", "number of wrong readings in a row that is bridged", 0, 1000),
         Parameter(
-            "sensor.hold_samples", 3, "", "node: number of wrong readings in a row that is bridged", 0, 1000
+            "stop.controller", "controller", "", "valve controller that a stop deactivates (0 V); empty: none"
         ),
         Parameter(
-            "stop.controller",
-            "controller",
-            "",
-            "node: valve controller that a stop deactivates, which gives 0 V; empty: none",
-        ),
-        Parameter(
-            "stop.delay",
-            0.2,
-            "s",
-            "node: time from the command of 0 V, which centres the spool, to this deactivation",
-            0.0,
-            100.0,
+            "stop.delay", 0.2, "s", "time from the command of 0 V of a stop to this deactivation", 0.0, 100.0
         ),
     ),
     AUTOSTART,

@@ -122,30 +122,13 @@ PARAMETERS: Table = (
         "acceleration_feedforward", 0.0, "s", "lead: velocity per acceleration of the course", -10.0, 10.0
     ),
     Parameter(
-        "gain_out",
-        0.0,
-        "m/s/V",
-        "velocity in extension per spool position beyond the overlap; 0: computed from the machine",
-        0.0,
-        1e3,
+        "gain_out", 0.0, "m/s/V", "velocity of extension per V beyond overlap; 0: from the machine", 0.0, 1e3
     ),
     Parameter(
-        "gain_in",
-        0.0,
-        "m/s/V",
-        "velocity in retraction per spool position beyond the overlap; 0: computed from the machine",
-        0.0,
-        1e3,
+        "gain_in", 0.0, "m/s/V", "velocity of retraction per V beyond overlap; 0: from the machine", 0.0, 1e3
     ),
     Parameter("overlap", 0.3, "V", "overlap of the spool that is compensated", 0.0, 100.0),
-    Parameter(
-        "overlap_zone",
-        0.05,
-        "V",
-        "command beyond the overlap from which the compensation is complete",
-        1e-6,
-        100.0,
-    ),
+    Parameter("overlap_zone", 0.05, "V", "command beyond the overlap of whole compensation", 1e-6, 100.0),
     Parameter("spool_limit", 10.0, "V", "limit of the spool command", 0.01, 100.0),
     Parameter("derivative_cutoff", 50.0, "Hz", "cut-off of the low-pass of the derivative", 1.0, 1e5),
 )

@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
-from valve_control.cli.common import check_outputs, deliver, parameter_options, tell_notes, write_json, wrote
+from valve_control.cli.common import (
+    check_outputs,
+    deliver,
+    output_group,
+    parameter_options,
+    tell_notes,
+    write_json,
+    wrote,
+)
 from valve_control.control.laws.registry import LAWS
 from valve_control.parameter import Values, updated
 
@@ -30,10 +38,7 @@ def add_commands(commands: Any) -> None:
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (3.0)")
     group.add_argument("--seed", type=int, metavar="N", help="seed of the sensors' noise (1)")
     parameter_options(group, "any parameter of axis, upper level, valve or its controller")
-    output = axis.add_argument_group("output")
-    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    output.add_argument("--csv", metavar="FILE", help="signals as CSV")
-    output.add_argument("--figure", metavar="FILE", help="motion, error, spool and pressures as PNG or SVG")
+    output_group(axis, csv="signals as CSV", figure="motion, error, spool and pressures as PNG or SVG")
     axis.set_defaults(run=_axis)
 
 

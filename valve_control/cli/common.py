@@ -123,16 +123,26 @@ def clock_option(group: Any) -> None:
     )
 
 
-def bag_options(group: Any) -> None:
-    """Add what is used of a bag: --map, --of, --from, --to and --clock."""
+def output_group(options: argparse.ArgumentParser, **files: str) -> Any:
+    """Add the options that name files to write, --json and ``files`` with their help."""
+    group = options.add_argument_group("output")
+    group.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
+    for name, text in files.items():
+        group.add_argument(f"--{name}", metavar="FILE", help=text)
+    return group
+
+
+def bag_options(group: Any, sources: str = "as for analyze", of: bool = True) -> None:
+    """Add what is used of a bag: --map with help on its ``sources``, --of, --from, --to and --clock."""
     group.add_argument(
         "--map",
         action="append",
         default=[],
         metavar="PART=/TOPIC.FIELD",
-        help="as for analyze; again for more",
+        help=f"{sources}; again for more",
     )
-    group.add_argument("--of", metavar="VALVE", help="valve to read, if the bag has several")
+    if of:
+        group.add_argument("--of", metavar="VALVE", help="valve to read, if the bag has several")
     group.add_argument(
         "--from", dest="start", type=float, metavar="S", help="begin S seconds after the beginning of the bag"
     )

@@ -4,10 +4,9 @@
 
 import argparse
 import sys
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import check_outputs, deliver, write_json
+from valve_control.cli.common import check_outputs, deliver, output_group, write_json
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, lookup
 
@@ -38,20 +37,21 @@ def add_commands(commands: Any) -> None:
             f"--{part}", type=float, nargs="+", metavar="C", help=f"{part} in s, highest power first"
         )
     group = options.add_argument_group("the compensator")
-    group.add_argument("--bandwidth", type=float, metavar="HZ", help="-3 dB bandwidth [Hz] (25)")
+    group.add_argument(
+        "--bandwidth", type=float, default=25.0, metavar="HZ", help="-3 dB bandwidth [Hz] (25)"
+    )
     group.add_argument("--keep-zeros", action="store_true", help="cancel the poles only, as (13) does")
     group.add_argument(
-        "--order", type=int, metavar="N", help="poles of the Bessel filter (one more than needed)"
+        "--order", type=int, default=0, metavar="N", help="poles of the Bessel filter (one more than needed)"
     )
-    group.add_argument("--sample-period", type=float, metavar="S", help="sample period [s] (0.001)")
-    group.add_argument("--u-max", type=float, metavar="V", help="limit of the voltage [V] (10)")
+    group.add_argument(
+        "--sample-period", type=float, default=0.001, metavar="S", help="sample period [s] (0.001)"
+    )
+    group.add_argument("--u-max", type=float, default=10.0, metavar="V", help="limit of the voltage [V] (10)")
     group.add_argument(
         "--amplitude", type=float, metavar="V", help="amplitude of the command, to predict saturation"
     )
-    output = options.add_argument_group("output")
-    output.add_argument("--output", metavar="FILE", help="ROS 2 parameter file for the controller")
-    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
+    output_group(options, output="ROS 2 parameter file for the controller", figure="Bode plot as PNG or SVG")
     options.set_defaults(run=_compensator)
 
 
@@ -60,10 +60,10 @@ def _compensator(arguments: argparse.Namespace) -> None:
 
     check_outputs(arguments, [arguments.output], [arguments.figure])
     numbers = {
-        "compensator.bandwidth": 25.0 if arguments.bandwidth is None else arguments.bandwidth,
-        "compensator.order": arguments.order or 0,
-        "sample_period": 0.001 if arguments.sample_period is None else arguments.sample_period,
-        "u_max": 10.0 if arguments.u_max is None else arguments.u_max,
+        "compensator.bandwidth": arguments.bandwidth,
+        "compensator.order": arguments.order,
+        "sample_period": arguments.sample_period,
+        "u_max": arguments.u_max,
     }
     for name, value in numbers.items():
         lookup(NODES["controller"], name).check(value)
@@ -71,21 +71,20 @@ def _compensator(arguments: argparse.Namespace) -> None:
         raise ParameterError(f"--amplitude is {arguments.amplitude:g} V; it must be positive")
     made = cancellation.make(
         _model(arguments),
-        numbers["compensator.bandwidth"],
+        arguments.bandwidth,
         not arguments.keep_zeros,
-        int(numbers["compensator.order"]),
-        numbers["sample_period"],
-        numbers["u_max"],
+        arguments.order,
+        arguments.sample_period,
+        arguments.u_max,
         arguments.amplitude,
     )
     parameters = _parameters(made)
-    wanted: list[tuple[str | None, Callable[[], str | bytes]]] = [
-        (arguments.output, lambda: result.parameter_file(parameters, _comments(made))),
-        (arguments.figure, lambda: cancellation.bode_figure(made, arguments.figure)),
-    ]
+    contents: list[tuple[str, str | bytes]] = []
     if arguments.output is not None:
         result.check_parameters(parameters)
-    contents = [(path, make()) for path, make in wanted if path is not None]
+        contents.append((arguments.output, result.parameter_file(parameters, _comments(made))))
+    if arguments.figure is not None:
+        contents.append((arguments.figure, cancellation.bode_figure(made, arguments.figure)))
     if arguments.json != "-":
         print(_text(made))
     for path, content in contents:
@@ -99,18 +98,13 @@ def _model(arguments: argparse.Namespace) -> "TransferFunction":
     from valve_control.control.plant.models import MODELS, TransferFunction
     from valve_control.design.identification import result
 
-    polynomials = (arguments.numerator, arguments.denominator)
-    given = [
-        arguments.source is not None,
-        arguments.model is not None,
-        any(p is not None for p in polynomials),
-    ]
-    if sum(given) > 1:
+    polynomials = [p for p in (arguments.numerator, arguments.denominator) if p is not None]
+    if (arguments.source is not None) + (arguments.model is not None) + bool(polynomials) > 1:
         raise ParameterError("give the model once: --from, --model, or --numerator with --denominator")
     if arguments.source is not None:
         return result.read_model(arguments.source)
-    if given[2]:
-        if None in polynomials:
+    if polynomials:
+        if len(polynomials) == 1:
             raise ParameterError("--numerator and --denominator need each other")
         first, last = arguments.numerator[-1], arguments.denominator[-1]
         if first * last < 0.0:

@@ -3,22 +3,24 @@
 """Defines the sub-commands for bags: analyze, replay, compare of bags, and bag recover."""
 
 import argparse
+import math
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
 from valve_control.cli.common import (
     Parser,
+    bag_options,
     check_outputs,
-    clock_option,
     deliver,
+    output_group,
     say,
     tell_notes,
     write_json,
     wrote,
 )
-from valve_control.control.analysis.tables import HEADER, index_row
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError
@@ -27,8 +29,8 @@ from valve_control.recordings.bags.errors import BagError
 if TYPE_CHECKING:
     from valve_control.recordings.analysis import ValveAnalysis
     from valve_control.recordings.axis_analysis import Axis
-    from valve_control.recordings.recording import Recording
-    from valve_control.recordings.replay_report import Report
+    from valve_control.recordings.recording import Aligned, Recording
+    from valve_control.recordings.report import Report
 
 
 def _bag_options() -> Parser:
@@ -38,31 +40,20 @@ def _bag_options() -> Parser:
         metavar="BAG",
         help="folder with metadata.yaml, an .mcap or .db3 file, or a table: .csv or MATLAB's .mat",
     )
-    group = options.add_argument_group("input")
-    group.add_argument(
-        "--map",
-        action="append",
-        default=[],
-        metavar="PART=/TOPIC.FIELD",
-        help="source of spool_command, spool_position or valve_voltage: any number of any message, such "
+    bag_options(
+        options.add_argument_group("input"),
+        "source of spool_command, spool_position or valve_voltage: any number of any message, such "
         "as spool_position=/joint_states.position[0]*250 (volts per unit after *, with an "
         "offset *1.25-15; or one of the words @%%, @0..10V, @4..20mA); boom/spool_position=... for a valve "
         "named boom; of a table: spool_position=COLUMN*1.25-15, time=COLUMN*0.001 in seconds or "
-        "time=row*0.001 at 1 kHz; again for more",
+        "time=row*0.001 at 1 kHz",
+        of=False,
     )
-    group.add_argument(
-        "--from", dest="start", type=float, metavar="S", help="begin S seconds after the bag's beginning"
+    output_group(
+        options,
+        csv="aligned signals as CSV (of several valves: one file each)",
+        html="one self-contained page with zoomable figures",
     )
-    group.add_argument(
-        "--to", dest="end", type=float, metavar="S", help="end S seconds after the bag's beginning"
-    )
-    clock_option(group)
-    output = options.add_argument_group("output")
-    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    output.add_argument(
-        "--csv", metavar="FILE", help="aligned signals as CSV (of several valves: one file each)"
-    )
-    output.add_argument("--html", metavar="FILE", help="one self-contained page with zoomable figures")
     return options
 
 
@@ -154,30 +145,21 @@ def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveAnal
 
 
 def _analyze(arguments: argparse.Namespace) -> int:
-    from valve_control.recordings import analysis_report, axis_analysis, expectations
-    from valve_control.recordings.analysis import analyze, as_dict
+    from valve_control.recordings import analysis_report, expectations
+    from valve_control.recordings.analysis import analyze
 
     check_outputs(arguments, [arguments.csv, arguments.html])
     loaded = _load(arguments, arguments.bag)
     result = analyze(loaded)
-    about = as_dict(result)
-    outcomes = [o for text in arguments.expect for o in expectations.check(text, about["valves"])]
-    found = _axes(arguments, loaded)
-    if found:
-        about["axes"] = {name: axis_analysis.as_dict(one) for name, one in found.items()}
-    about["expectations"] = [outcome._asdict() for outcome in outcomes]
-    csv_files = _csv_files(arguments.csv, result.valves)
-    check_outputs(arguments, [*(str(path) for path, _ in csv_files), arguments.html])
-    if arguments.json != "-":
-        print(analysis_report.text(result))
-        for name, one in found.items():
-            print("\n".join(["", *axis_analysis.lines(name, one)]))
-    for path, valve in csv_files:
-        assert valve.signals is not None
-        deliver(arguments, str(path), analysis_report.csv_text(valve.signals))
-    if arguments.html is not None:
-        deliver(arguments, arguments.html, analysis_report.html_text(result))
-    write_json(arguments, about)
+    report = analysis_report.of_bag(result, _axes(arguments, loaded))
+    outcomes = [o for text in arguments.expect for o in expectations.check(text, report.about["valves"])]
+    report.about["expectations"] = [outcome._asdict() for outcome in outcomes]
+    csv_files = {
+        str(path): analysis_report.csv_text(signals)
+        for path, signals in _csv_files(arguments.csv, result.valves)
+    }
+    check_outputs(arguments, [*csv_files, arguments.html])
+    _deliver(arguments, report, csv_files)
     for outcome in outcomes:
         value = "missing" if outcome.value is None else f"{outcome.value:.6g}"
         say(arguments, f"{'met' if outcome.met else 'NOT MET'}: {outcome.text} ({outcome.valve}: {value})")
@@ -187,24 +169,24 @@ def _analyze(arguments: argparse.Namespace) -> int:
 def _axes(arguments: argparse.Namespace, loaded: "Recording") -> "dict[str, Axis]":
     from valve_control.recordings import axis_analysis
 
-    def log_time(seconds: float | None) -> int | None:
-        return None if seconds is None else loaded.bag.begin + round(seconds * 1e9)
+    def log_time(seconds: float | None, otherwise: float) -> float:
+        return otherwise if seconds is None else loaded.bag.begin + round(seconds * 1e9)
 
-    return axis_analysis.axes(loaded.bag, log_time(arguments.start), log_time(arguments.end))
+    return axis_analysis.axes(
+        loaded.bag, log_time(arguments.start, -math.inf), log_time(arguments.end, math.inf)
+    )
 
 
-def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> "list[tuple[Path, ValveAnalysis]]":
+def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> "list[tuple[Path, Aligned]]":
     if path is None:
         return []
-    usable = {name: valve for name, valve in valves.items() if valve.signals is not None}
+    usable = {name: valve.signals for name, valve in valves.items() if valve.signals is not None}
     if not usable:
         raise BagError("there is nothing for --csv: no valve has readings that can be aligned")
-    if len(usable) == 1:
-        return [(Path(path), next(iter(usable.values())))]
-    stem = Path(path)
+    stem, one = Path(path), len(usable) == 1
     return [
-        (stem.with_name(f"{stem.stem}_{name.replace('/', '_')}{stem.suffix}"), valve)
-        for name, valve in usable.items()
+        (stem if one else stem.with_name(f"{stem.stem}_{name.replace('/', '_')}{stem.suffix}"), signals)
+        for name, signals in usable.items()
     ]
 
 
@@ -213,9 +195,10 @@ def _replay(arguments: argparse.Namespace) -> int:
     loaded = _load(arguments, arguments.bag, journals=arguments.mode == "shadow")
     valve = _one_valve(arguments, loaded)
     valve = valve._replace(left_out=[*loaded.problems, *valve.left_out])
-    if arguments.mode == "shadow":
-        return _replay_shadow(arguments, valve)
-    return _replay_what_if(arguments, valve)
+    report = (_replay_shadow if arguments.mode == "shadow" else _replay_what_if)(arguments, valve)
+    csv_files = {} if arguments.csv is None else {arguments.csv: outputs.csv_text(report.columns, "%.17g")}
+    _deliver(arguments, report, csv_files)
+    return 0
 
 
 def _overrides(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -228,7 +211,7 @@ def _overrides(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     return changes
 
 
-def _replay_shadow(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> int:
+def _replay_shadow(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> "Report":
     from tqdm import tqdm
 
     from valve_control.recordings import replay_report, shadow
@@ -242,11 +225,10 @@ def _replay_shadow(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> 
     with tqdm(total=count, desc="shadow", unit=" samples", disable=count < 20_000, ascii=True) as progress:
         result = shadow.replay(valve, changes["controller"], progress.update)
     result = result._replace(left_out=[*analysis.left_out, *result.left_out])
-    _deliver(arguments, replay_report.of_shadow(result, arguments.bag, valve.name))
-    return 0
+    return replay_report.of_shadow(result, arguments.bag, valve.name)
 
 
-def _replay_what_if(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> int:
+def _replay_what_if(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> "Report":
     from valve_control.control.parameters import files
     from valve_control.recordings import replay_report, what_if
 
@@ -261,16 +243,15 @@ def _replay_what_if(arguments: argparse.Namespace, analysis: "ValveAnalysis") ->
     result = result._replace(left_out=[*analysis.left_out, *result.left_out])
     if result.run.warning:
         print(f"warning: {result.run.warning}", file=sys.stderr)
-    _deliver(arguments, replay_report.of_what_if(result, arguments.bag, analysis.valve.name))
-    return 0
+    return replay_report.of_what_if(result, arguments.bag, analysis.valve.name)
 
 
-def _deliver(arguments: argparse.Namespace, report: "Report") -> None:
-    """Print the report of a replay, and write it as CSV, HTML and JSON where asked for."""
+def _deliver(arguments: argparse.Namespace, report: "Report", csv_files: Mapping[str, str]) -> None:
+    """Print a report, and write it as HTML and JSON where asked for, and the ``csv_files``: texts by path."""
     if arguments.json != "-":
         print(report.text)
-    if arguments.csv is not None:
-        deliver(arguments, arguments.csv, outputs.csv_text(report.columns, "%.17g"))
+    for path, content in csv_files.items():
+        deliver(arguments, path, content)
     if arguments.html is not None:
         deliver(arguments, arguments.html, report.html)
     write_json(arguments, report.about)
@@ -280,7 +261,6 @@ def compare_bags(arguments: argparse.Namespace) -> None:
     """Print and draw the indices and overlaid runs of several bags."""
     from valve_control.recordings import comparison
     from valve_control.recordings.analysis import analyze
-    from valve_control.recordings.analysis_report import time_in
 
     check_outputs(arguments, [arguments.html], [arguments.figure])
     runs = []
@@ -288,27 +268,11 @@ def compare_bags(arguments: argparse.Namespace) -> None:
         runs += comparison.runs(path, analyze(_load(arguments, path)))
     if arguments.figure is not None and all(run.signals is None for run in runs):
         raise BagError("there is nothing for --figure: no run has readings that can be aligned")
-    runs = comparison.overlaid(runs)
-    names = comparison.labels([run.name for run in runs])
-    if arguments.json != "-":
-        width = max(14, *(len(name) + 2 for name in names))
-        print(" " * (width - 14) + HEADER)
-        for name, run in zip(names, runs, strict=True):
-            remark = time_in(run.time_in)
-            print(index_row(f"{name:{width}}", run.indices) + (f"  {remark}" if remark else ""))
-            if remark:
-                print(index_row(f"{'  only ok':{width}}", run.only_ok))
-        for text in comparison.moves(names, runs):
-            print(text)
-        for run in runs:
-            for note in run.left_out:
-                print(f"note: {note}")
+    report = comparison.report(runs)
     if arguments.figure is not None:
-        comparison.draw(Path(arguments.figure), names, runs)
+        comparison.draw(Path(arguments.figure), runs)
         wrote(arguments, arguments.figure)
-    if arguments.html is not None:
-        deliver(arguments, arguments.html, comparison.html(names, runs))
-    write_json(arguments, {"runs": [comparison.as_dict(n, r) for n, r in zip(names, runs, strict=True)]})
+    _deliver(arguments, report, {})
 
 
 def _recover(arguments: argparse.Namespace) -> int:

@@ -17,6 +17,7 @@ from valve_control.cli.common import (
     check_outputs,
     clock_option,
     deliver,
+    output_group,
     parameter_options,
     tell_notes,
     write_json,
@@ -100,9 +101,7 @@ def delivery_options() -> Parser:
 def output_options() -> Parser:
     """Parser with the options that say what is written."""
     options = Parser(add_help=False)
-    output = options.add_argument_group("output")
-    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    output.add_argument("--figure", metavar="FILE", help="command, position, error and voltage as PNG or SVG")
+    output_group(options, figure="command, position, error and voltage as PNG or SVG")
     return options
 
 

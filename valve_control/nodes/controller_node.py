@@ -18,8 +18,8 @@ from std_srvs.srv import Trigger
 
 from valve_control import inputs, outputs, parameter
 from valve_control.control.laws.registry import LAWS, REFUSED
-from valve_control.control.parameters import arguments, ros_file
-from valve_control.control.parameters.controller import CONTROLLER, law_params
+from valve_control.control.parameters import arguments, build, ros_file
+from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.supervision import rate
 from valve_control.control.supervision.cache_warming import CacheWarming
 from valve_control.control.supervision.command_course import Motion
@@ -129,7 +129,7 @@ class Controller(Managed):
         if refusal := self._supervisor.period_refusal(parameter.number(values, "sample_period")):
             raise ParameterError(refusal)
         chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
-        return Built(law_params(values), realtime.request(values), named_terms(chosen))
+        return Built(build.law_params(values), realtime.request(values), named_terms(chosen))
 
     def _apply(self, values: Values, built: Built) -> None:
         params, wanted, terms = built

@@ -269,7 +269,7 @@ class Recorder(Worker):
             self._captured.collect()
             if now >= self._flush_at:
                 self._flush_at = now + self._settings.flush_period
-                self._writer.missing()
+                self._writer.check_place()
                 self._writer.flush()
                 if reason := self._short_of_room(self._settings.folder):
                     self._fail(reason)

@@ -26,7 +26,7 @@ from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import seconds
 from valve_control.recordings.clocks import shared
 from valve_control.recordings.modes import Interval, Mode, of_samples
-from valve_control.recordings.parameters import Change
+from valve_control.recordings.parameters import Change, Node
 from valve_control.recordings.recording import (
     ESTIMATES,
     Aligned,
@@ -84,7 +84,13 @@ class ValveAnalysis(NamedTuple):
     period: Period
     error_spectrum: Spectrum
     voltage_spectrum: Spectrum
+    spectra_notes: list[str]  # those of the notes that are about the spectra
     left_out: list[str]
+
+    @property
+    def nodes(self) -> list[Node]:
+        """Controller and simulator, as far as they were recorded."""
+        return [node for node in (self.valve.controller, self.valve.simulator) if node is not None]
 
 
 class Analysis(NamedTuple):
@@ -122,13 +128,14 @@ def _analyze_valve(valve: ValveRecording) -> ValveAnalysis:
     name = controller_name(valve)
     parts: list[Part] = []
     spells: list[Spell] = []
+    spectra_notes: list[str] = []
     measured = _period(valve)
     empty = Spectrum(np.empty(0), np.empty(0))
     error_spectrum = voltage_spectrum = empty
     if signals is not None and len(signals.time) > 1:
         period = measured.measured if measured.differs else signals.period
         if measured.differs and measured.wanted:
-            left_out.append(
+            spectra_notes.append(
                 f"{valve.name}: LVDT readings come every {1e3 * measured.measured:.4g} ms, sample_period is "
                 f"{1e3 * measured.wanted:.4g} ms; motions, e_F and spectra reckon with {1e3 * period:.4g} ms"
             )
@@ -137,7 +144,8 @@ def _analyze_valve(valve: ValveRecording) -> ValveAnalysis:
         modes = None if told is None else np.array([part.mode for part in valve.modes])[told]
         parts = _parts(valve, signals, name, period, modes)
         if times["spool_position"].gaps and not valve.lockstep:
-            left_out.append(f"{valve.name}: spectra take the readings as evenly spaced, over gaps too")
+            spectra_notes.append(f"{valve.name}: spectra take the readings as evenly spaced, over gaps too")
+        left_out += spectra_notes
         error = signals.measurement - signals.command
         if np.all(np.isfinite(error)):
             error_spectrum = spectrum(error, period)
@@ -154,6 +162,7 @@ def _analyze_valve(valve: ValveRecording) -> ValveAnalysis:
         period=measured,
         error_spectrum=error_spectrum,
         voltage_spectrum=voltage_spectrum,
+        spectra_notes=spectra_notes,
         left_out=left_out,
     )
 
@@ -340,7 +349,6 @@ def as_dict(result: Analysis) -> dict[str, Any]:
 def _valve_dict(result: ValveAnalysis) -> dict[str, Any]:
     valve, signals = result.valve, result.signals
     theta = estimates(valve.state)
-    nodes = [node for node in (valve.controller, valve.simulator) if node is not None]
     return {
         "controller": result.controller or None,
         "sample_period_s": signals.period if signals is not None else None,
@@ -358,10 +366,10 @@ def _valve_dict(result: ValveAnalysis) -> dict[str, Any]:
         "recorded_after_s": result.recorded_after,
         "theta": [float(values[np.isfinite(values)][-1]) for values in theta.values()] if theta else None,
         "lyapunov_over_bound": guarantee_use(valve.state),
-        "parameters": {node.name: {"kind": node.kind, "initial": node.initial} for node in nodes},
+        "parameters": {node.name: {"kind": node.kind, "initial": node.initial} for node in result.nodes},
         "changes": [
             {"time_s": _since(change.time, signals), "node": node.name, "values": change.values}
-            for node in nodes
+            for node in result.nodes
             for change in node.changes
         ],
         "left_out": result.left_out,

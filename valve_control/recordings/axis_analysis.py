@@ -43,7 +43,7 @@ def _stamped(series: Series, field: str) -> tuple[Integers, Floats]:
     return unique, series.values[field][first]
 
 
-def axes(bag: Bag, start: int | None = None, end: int | None = None) -> dict[str, Axis]:
+def axes(bag: Bag, start: float = -np.inf, end: float = np.inf) -> dict[str, Axis]:
     """Axes by namespace ("" for none); ``start``, ``end`` [ns]: log times."""
     spaces = [name.removesuffix(GOAL).rstrip("/") for name in bag.topics if name.endswith(f"/{GOAL}")]
     found = {}
@@ -56,7 +56,7 @@ def axes(bag: Bag, start: int | None = None, end: int | None = None) -> dict[str
     return found
 
 
-def _axis(bag: Bag, space: str, start: int | None, end: int | None) -> Axis:
+def _axis(bag: Bag, space: str, start: float, end: float) -> Axis:
     stamp = ["header.stamp.sec", "header.stamp.nanosec"]
     goal_name, joint_name = f"{space}/{GOAL}", f"{space}/{JOINTS}"
     point = ["positions[0]", "velocities[0]", "time_from_start.sec", "time_from_start.nanosec"]
@@ -65,7 +65,10 @@ def _axis(bag: Bag, space: str, start: int | None, end: int | None) -> Axis:
         wanted[joint_name] = [*stamp, "position[0]"]
     rooms = [room for room in ROOMS if f"{space}/{room}" in bag.topics]
     wanted.update({f"{space}/{room}": [*stamp, "fluid_pressure"] for room in rooms})
-    series = bag.read(wanted, start=start, end=end)
+    series = {
+        name: one.pick((one.log_time >= start) & (one.log_time < end))
+        for name, one in bag.read(wanted).items()
+    }
     fields = {goal_name: point[0], joint_name: "position[0]"}
     left_out: list[str] = []
     for name, one in series.items():

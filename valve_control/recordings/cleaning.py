@@ -9,7 +9,7 @@ import numpy as np
 
 from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags.bag import Series
-from valve_control.recordings.clocks import MANY, SMALL_DISORDER, steps_back
+from valve_control.recordings.clocks import MANY, SMALL_DISORDER, leaps
 from valve_control.recordings.mapping import Source
 from valve_control.recordings.pairing import Pairs, Samples, paired
 
@@ -109,7 +109,7 @@ def _samples(source: Source, series: Series, problems: list[str]) -> Samples:
 def _in_order(raw: dict[str, Samples], problems: list[str]) -> dict[str, Samples]:
     """Sort by time; if the clock was set back, the longest part of the readings, and the others during it."""
     lead = next((part for part in LEAD if part in raw and len(raw[part].time)), "")
-    back = steps_back(raw[lead].time, raw[lead].sequence) if lead else np.empty(0, dtype=np.int64)
+    back = leaps(raw[lead].time, raw[lead].sequence) if lead else np.empty(0, dtype=np.int64)
     if len(back):
         bounds = [0, *(back + 1).tolist(), len(raw[lead].time)]
         longest = int(np.argmax(np.diff(bounds)))
@@ -122,7 +122,7 @@ def _in_order(raw: dict[str, Samples], problems: list[str]) -> dict[str, Samples
             for name, one in raw.items()
         }
         problems += [
-            f"time goes backwards on {raw[lead].topic} {len(back)} time(s); only part {longest + 1} of "
+            f"time leaps on {raw[lead].topic} {len(back)} time(s); only part {longest + 1} of "
             f"{one.topic} is analysed ({np.count_nonzero(inside[name])} of {len(one.time)} messages)"
             for name, one in raw.items()
         ]

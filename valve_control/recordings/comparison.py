@@ -11,10 +11,11 @@ import numpy as np
 from valve_control.control.analysis.figures import COLOURS, Line, Plot, Trace, draw_traces
 from valve_control.control.analysis.indices import Indices
 from valve_control.control.analysis.overlay import TimedSignal, shift
-from valve_control.control.analysis.page import figure, notes, page
+from valve_control.control.analysis.tables import HEADER, index_row
 from valve_control.recordings.analysis import NONE, Analysis, modes_dict
-from valve_control.recordings.analysis_report import index_table, time_in
+from valve_control.recordings.analysis_report import time_in
 from valve_control.recordings.recording import Aligned
+from valve_control.recordings.report import Figure, Notes, Report, index_table, noted
 
 
 class BagRun(NamedTuple):
@@ -106,8 +107,10 @@ def as_dict(name: str, run: BagRun) -> dict[str, Any]:
     }
 
 
-def draw(path: Path, names: Sequence[str], runs: Sequence[BagRun]) -> None:
-    """Draw the ``overlaid`` runs as the PNG file ``path``. Raises OSError."""
+def draw(path: Path, runs: Sequence[BagRun]) -> None:
+    """Draw ``runs``, overlaid by their motion, as the PNG file ``path``. Raises OSError."""
+    runs = overlaid(runs)
+    names = labels([run.name for run in runs])
     traces = {
         name: Trace(
             run.signals.time + run.shift, run.signals.command, run.signals.measurement, run.signals.voltage
@@ -118,13 +121,19 @@ def draw(path: Path, names: Sequence[str], runs: Sequence[BagRun]) -> None:
     draw_traces(path, {"recorded": traces}, "valve_control: bags", own_commands=True)
 
 
-def html(names: Sequence[str], runs: Sequence[BagRun]) -> str:
-    """Table and figures of ``overlaid`` runs as an HTML page."""
-    rows = []
-    positions, errors, voltages = [], [], []
+def report(runs: Sequence[BagRun]) -> Report:
+    """Report of runs that are not overlaid yet, with indices and notes of each."""
+    runs = overlaid(runs)
+    names = labels([run.name for run in runs])
+    width = max(14, *(len(name) + 2 for name in names))
+    lines = [" " * (width - 14) + HEADER]
+    rows, positions, errors, voltages = [], [], [], []
     for i, (name, run) in enumerate(zip(names, runs, strict=True)):
-        rows.append((name, run.controller, run.indices, time_in(run.time_in)))
-        if run.time_in:
+        remark = time_in(run.time_in)
+        lines.append(index_row(f"{name:{width}}", run.indices) + (f"  {remark}" if remark else ""))
+        rows.append((name, run.controller, run.indices, remark))
+        if remark:
+            lines.append(index_row(f"{'  only ok':{width}}", run.only_ok))
             rows.append((f"{name}, only ok", run.controller, run.only_ok, ""))
         if run.signals is None or run.shift is None:
             continue
@@ -135,11 +144,13 @@ def html(names: Sequence[str], runs: Sequence[BagRun]) -> str:
         errors.append(Line(name, time, s.measurement - s.command, colour))
         voltages.append(Line(name, time, s.voltage, colour))
     plots = [Plot("spool position [V]", positions), Plot("error [V]", errors), Plot("voltage [V]", voltages)]
-    left_out = notes([text for run in runs for text in run.left_out])
-    return page(
+    notes, shifts = [text for run in runs for text in run.left_out], moves(names, runs)
+    return Report(
         "valve_control: bags compared",
+        [*lines, *shifts, *noted(notes)],
+        {"runs": [as_dict(name, run) for name, run in zip(names, runs, strict=True)]},
         {
-            "Indices": index_table(rows) + left_out,
-            "Signals, overlaid by their motion": notes(moves(names, runs)) + figure(plots, "time [s]"),
+            "Indices": [index_table(rows), Notes(notes)],
+            "Signals, overlaid by their motion": [Notes(shifts), Figure(plots)],
         },
     )

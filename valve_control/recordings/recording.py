@@ -19,7 +19,7 @@ from valve_control.recordings.bags.bag import Bag, Series
 from valve_control.recordings.bags.cdr import Decoder, deserialized
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import clean, seconds
-from valve_control.recordings.clocks import Clock, decide, of_table, without_strays
+from valve_control.recordings.clocks import Clock, decide, of_table
 from valve_control.recordings.mapping import STATE_TYPE, ValveTopics, find_valves
 from valve_control.recordings.pairing import Samples
 
@@ -129,55 +129,36 @@ def _wanted(
     return wanted, states, raw, diagnostics
 
 
-class _Request(NamedTuple):
-    """What is to be read of a bag."""
+def _read(
+    bag: Bag,
+    wanted: tuple[dict[str, list[str]], set[str], set[str], list[str]],
+    groups: list[list[str]],
+    part: tuple[float | None, float | None],
+    clock_name: str | None,
+) -> tuple[dict[str, Series], Clock, int]:
+    """Series by topic, the clock of all their times, and the beginning of the ``part`` [ns]. Raises BagError.
 
-    path: Path | str  # as it was given
-    wanted: dict[str, list[str]]  # fields by topic
-    states: set[str]  # topics of laws' states
-    raw: set[str]  # topics of whole messages
-    groups: list[list[str]]  # topics of the signals of each valve
-    start: float | None  # s  after the bag's beginning
-    end: float | None  # s
-    clock: str | None
-
-    def span(self, begin: int) -> tuple[int, int | None]:
-        """Beginning and end [ns] of the part, of a bag that begins at ``begin`` [ns]."""
-        first = begin if self.start is None else begin + nanoseconds(self.start, "--from")
-        return first, None if self.end is None else begin + nanoseconds(self.end, "--to")
-
-
-def _read(bag: Bag, request: _Request) -> tuple[dict[str, Series], Clock, int]:
-    """Series by topic, the clock of all their times, and the beginning of the part [ns]. Raises BagError."""
-    wanted, states, raw = request.wanted, request.states, request.raw
-    first, last = request.span(bag.begin)
-    if request.start is None:
-        series = bag.read(wanted, raw=raw, sparse=states, end=last)
-    else:
-        # What is known of the nodes counts from the bag's beginning, whatever part is asked for.
-        series = bag.read(wanted, sparse=states, start=first, end=last)
-        series |= bag.read({}, raw=raw, end=last)
-    notes: list[str] = []
-    series = without_strays(series, notes)
+    Whole messages tell of the nodes, which counts from the bag's beginning.
+    """
+    fields, states, raw, _ = wanted
+    series = bag.read(fields, raw=raw, sparse=states)
     if bag.table is not None:
-        clock = of_table(bag.table, request.clock)
+        clock = of_table(bag.table, clock_name)
     else:
-        clock = decide(series, request.groups, request.clock, request.path)
-    if clock.apart and (request.start is not None or request.end is not None):
-        # The part that was read is one of times of recording.
-        notes.clear()
-        series = without_strays(bag.read(wanted, raw=raw, sparse=states), notes)
-        sent = [series[name].publish_time for group in request.groups for name in group]
-        first, last = request.span(min(int(time.min()) for time in sent if len(time)))
-        series = {
-            name: one.pick(
-                ((name in raw) | (one.publish_time >= first))
-                & (one.publish_time < (np.inf if last is None else last))
-            )
-            for name, one in series.items()
-        }
-    bag.problems += [*notes, *clock.notes]
-    return clock.read(series), clock, first
+        clock = decide(series, groups, clock_name, bag.path)
+    bag.problems += clock.notes
+    if part == (None, None):
+        return clock.read(series), clock, bag.begin
+    # Where both clocks are alike, a part is one of times of recording.
+    times = {name: one.publish_time if clock.apart else one.log_time for name, one in series.items()}
+    begin = bag.begin
+    if clock.apart:
+        begin = min(int(times[name].min()) for group in groups for name in group if len(times[name]))
+    start, end = part
+    first = begin if start is None else begin + nanoseconds(start, "--from")
+    last = np.inf if end is None else begin + nanoseconds(end, "--to")
+    inside = {name: ((name in raw) | (time >= first)) & (time < last) for name, time in times.items()}
+    return clock.read({name: one.pick(inside[name]) for name, one in series.items()}), clock, first
 
 
 def load(
@@ -196,16 +177,15 @@ def load(
     """
     bag = Bag(path)
     topics = find_valves(bag, maps)
-    wanted, states, raw, diagnostics = _wanted(bag, topics, journals)
-    labels = {name: _labels(bag, name) for name in states}
+    wanted = _wanted(bag, topics, journals)
+    labels = {name: _labels(bag, name) for name in wanted[1]}
     groups = [[source.topic for source in valve.sources.values()] for valve in topics.values()]
-    request = _Request(path, wanted, states, raw, groups, start, end, clock)
-    series, used, first = _read(bag, request)
+    series, used, first = _read(bag, wanted, groups, (start, end), clock)
     since = 0 if start is None else first
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
     if start is not None:
         nodes = {name: node.from_time(first) for name, node in nodes.items()}
-    said = modes.words([series[name] for name in diagnostics], bag.problems)
+    said = modes.words([series[name] for name in wanted[3]], bag.problems)
     valves = {
         name: _valve(
             valve, series, labels.get(valve.state, []), nodes, said, since, used, bag.table is not None

@@ -1,8 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Reports a shadow or what-if replay: text for a terminal, columns for CSV, JSON and HTML."""
-
-from typing import Any, NamedTuple
+"""Reports a shadow or what-if replay."""
 
 import numpy as np
 
@@ -10,44 +8,23 @@ from valve_control.arrays import Floats
 from valve_control.control.analysis import limit_cycle
 from valve_control.control.analysis.figures import Line, Plot
 from valve_control.control.analysis.indices import indices, rms
-from valve_control.control.analysis.page import figure, notes, page, table
 from valve_control.control.analysis.segments import Segment
 from valve_control.control.analysis.tables import HEADER, index_row
+from valve_control.recordings import report
 from valve_control.recordings.analysis import segment_indices
-from valve_control.recordings.analysis_report import index_table
+from valve_control.recordings.report import BLACK, BLUE, GREEN, RED, Figure, Notes, Report, Table
 from valve_control.recordings.shadow import Shadow
 from valve_control.recordings.what_if import WhatIf
 
-BLACK, BLUE, RED, GREEN = "#000000", "#0072B2", "#D55E00", "#009E73"
 
-
-class Report(NamedTuple):
-    """A replay in all forms in which it is written."""
-
-    title: str
-    lines: list[str]  # for a terminal
-    columns: dict[str, Floats]  # for CSV, the time first
-    about: dict[str, Any]  # for JSON
-    table: tuple[str, str]  # heading and HTML
-    plots: dict[str, list[tuple[str, Floats, str]]]  # by title: lines with label, values and colour
-    left_out: list[str]
-
-    @property
-    def text(self) -> str:
-        """For a terminal."""
-        return "\n".join([*self.lines, *(f"note: {note}" for note in self.left_out)])
-
-    @property
-    def html(self) -> str:
-        """One self-contained page."""
-        time = self.columns["time_s"]
-        plots = [
+def _figure(time: Floats, plots: dict[str, list[tuple[str, Floats, str]]]) -> Figure:
+    """Plots by title: lines with label, values and colour."""
+    return Figure(
+        [
             Plot(title, [Line(label, time, values, colour) for label, values, colour in lines])
-            for title, lines in self.plots.items()
+            for title, lines in plots.items()
         ]
-        heading, content = self.table
-        sections = {heading: content + notes(self.left_out), "Signals": figure(plots, "time [s]")}
-        return page(self.title, sections)
+    )
 
 
 def _effort(voltage: Floats) -> dict[str, float]:
@@ -96,8 +73,17 @@ def of_shadow(result: Shadow, bag: str, valve: str) -> Report:
         f"{'voltage':14}{'u_rms [V]':>11}{'c_u':>9}{'max [V]':>9}",
         *(f"{name:14}{e['u_rms']:11.4f}{e['c_u']:9.4f}{e['max']:9.3f}" for name, e in efforts.items()),
         outcome,
+        *report.noted(result.left_out),
     ]
     rows = [(name, *(f"{value:.4f}" for value in effort.values())) for name, effort in efforts.items()]
+    plots = {
+        "spool position [V]": [
+            ("command", result.command, BLACK),
+            ("measurement", result.measurement, BLUE),
+        ],
+        "voltage [V]": [("recorded", result.recorded, BLUE), ("shadow", result.voltage, RED)],
+        "shadow - recorded [V]": [("difference", result.voltage - result.recorded, GREEN)],
+    }
     return Report(
         title=f"{bag}: shadow replay with {result.controller}",
         lines=lines,
@@ -109,16 +95,10 @@ def of_shadow(result: Shadow, bag: str, valve: str) -> Report:
             "shadow_voltage_V": result.voltage,
         },
         about=about,
-        table=("Voltage", table(["", "u_rms [V]", "c_u", "max [V]"], rows) + f"<p>{outcome}</p>"),
-        plots={
-            "spool position [V]": [
-                ("command", result.command, BLACK),
-                ("measurement", result.measurement, BLUE),
-            ],
-            "voltage [V]": [("recorded", result.recorded, BLUE), ("shadow", result.voltage, RED)],
-            "shadow - recorded [V]": [("difference", result.voltage - result.recorded, GREEN)],
+        sections={
+            "Voltage": [Table(["", "u_rms [V]", "c_u", "max [V]"], rows), outcome, Notes(result.left_out)],
+            "Signals": [_figure(result.time, plots)],
         },
-        left_out=result.left_out,
     )
 
 
@@ -127,6 +107,19 @@ def of_what_if(result: WhatIf, bag: str, valve: str) -> Report:
     was, run = result.recorded, result.run
     recorded = segment_indices(result.original, Segment("run", "", 0, len(result.original.time)))
     cycle = limit_cycle.in_words(run.saturated, run.limit_cycle)
+    table = report.index_table([("recorded", "", recorded, ""), ("what-if", run.controller, run.indices, "")])
+    plots = {
+        "spool position [V]": [
+            ("command", was.command, BLACK),
+            ("recorded", was.measurement, BLUE),
+            ("what-if", run.measurement, RED),
+        ],
+        "error [V]": [
+            ("recorded", was.measurement - was.command, BLUE),
+            ("what-if", run.measurement - was.command, RED),
+        ],
+        "voltage [V]": [("recorded", was.voltage, BLUE), ("what-if", run.voltage, RED)],
+    }
     return Report(
         title=f"{bag}: what-if replay with {run.controller}",
         lines=[
@@ -135,6 +128,7 @@ def of_what_if(result: WhatIf, bag: str, valve: str) -> Report:
             index_row(f"what-if {run.controller}", run.indices),
             f"simulated minus recorded measurement: {result.distance:.4g} V rms",
             *([f"simulated: {cycle}"] if cycle else []),
+            *report.noted(result.left_out),
         ],
         columns={
             "time_s": result.time,
@@ -160,21 +154,5 @@ def of_what_if(result: WhatIf, bag: str, valve: str) -> Report:
             "warning": run.warning or None,
             "left_out": result.left_out,
         },
-        table=(
-            "Indices",
-            index_table([("recorded", "", recorded, ""), ("what-if", run.controller, run.indices, "")]),
-        ),
-        plots={
-            "spool position [V]": [
-                ("command", was.command, BLACK),
-                ("recorded", was.measurement, BLUE),
-                ("what-if", run.measurement, RED),
-            ],
-            "error [V]": [
-                ("recorded", was.measurement - was.command, BLUE),
-                ("what-if", run.measurement - was.command, RED),
-            ],
-            "voltage [V]": [("recorded", was.voltage, BLUE), ("what-if", run.voltage, RED)],
-        },
-        left_out=result.left_out,
+        sections={"Indices": [table, Notes(result.left_out)], "Signals": [_figure(result.time, plots)]},
     )

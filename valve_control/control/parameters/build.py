@@ -1,35 +1,53 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Builds the immutable parameters of laws, valve and command shape from checked values."""
+"""Builds the immutable parameters of laws, valve and command shape from checked values.
+
+A controller needs laws alone, so plants and commands are imported where they are built.
+"""
 
 import os
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from valve_control.arrays import Floats
-from valve_control.control.commands import arrays
-from valve_control.control.commands.scenarios import Shape, steps_of, stroke_time
-from valve_control.control.parameters.controller import law_params as law_params
-from valve_control.control.plant import registry
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, Values, number, word
+
+if TYPE_CHECKING:
+    from valve_control.control.commands.scenarios import Shape
+    from valve_control.control.plant.models import TransferFunction
 
 OF_A_RUN = 9  # numbers of a sample: three signals, command, with its lead, noise, errors, limit cycle
 
 
-def valve_model(values: Values) -> TransferFunction:
+def law_params(values: Values) -> Any:
+    """Params of the law that ``controller`` names.
+
+    Every other law is built too, so that a set that could not be switched to is refused at once.
+    Raises ParameterError.
+    """
+    return {name: law.build(values) for name, law in LAWS.items()}[word(values, "controller")]
+
+
+def valve_model(values: Values) -> "TransferFunction":
     """Linear model of the valve, with its gain scaled. Raises ParameterError."""
+    from valve_control.control.plant import registry
+
     return registry.chosen(values).model(values)
 
 
 def valve_params(values: Values) -> Any:
     """Params of the plant that the simulator's parameter `valve` names. Raises ParameterError."""
+    from valve_control.control.plant import registry
+
     return registry.chosen(values).build(values)
 
 
-def shape(values: Values) -> Shape:
+def shape(values: Values) -> "Shape":
     """Command shape from the command source's values. Raises ParameterError."""
+    from valve_control.control.commands.scenarios import Shape, steps_of, stroke_time
+
     made = Shape(
         scenario=word(values, "scenario"),
         amplitude=number(values, "amplitude"),
@@ -74,6 +92,8 @@ def check_memory(samples: float, numbers: int = OF_A_RUN) -> None:
 
 def commands(values: Values) -> Floats:
     """Command [V] of each sample from the command source's values. Raises ParameterError."""
+    from valve_control.control.commands import arrays
+
     period = number(values, "sample_period")
     n = max(1, round(number(values, "duration") / period))
     arrays.refuse_aliased(highest_frequency(values), period)

@@ -10,7 +10,7 @@ MESSAGE = Parameter(
     "message",
     "command",
     "",
-    "command: numbers on spool_command; trajectory: points with derivatives on spool_trajectory",
+    "numbers on spool_command, or points with derivatives on spool_trajectory",
     choices=("command", "trajectory"),
 )
 
@@ -39,47 +39,23 @@ COMMAND: Table = (
         "every", 1, "", "number of sample periods from one message to the next", 1, 1000, node_only=True
     ),
     Parameter(
-        "listeners",
-        1,
-        "",
-        "number of subscriptions to wait for before the command begins",
-        0,
-        100,
-        node_only=True,
+        "listeners", 1, "", "subscriptions to wait for before the command begins", 0, 100, node_only=True
     ),
     Parameter(
-        "delay",
-        0.5,
-        "s",
-        "pause between the arrival of these subscriptions and the beginning",
-        0.0,
-        1e6,
-        node_only=True,
+        "delay", 0.5, "s", "pause from the arrival of these to the beginning", 0.0, 1e6, node_only=True
     ),
     Parameter("duration", 6.0, "s", "duration of the command; afterwards the last command holds", 0.001, 1e6),
     Parameter("amplitude", 2.92, "V", "height, stroke or amplitude", -10.0, 10.0),
     Parameter("offset", 0.0, "V", "added to the command", -10.0, 10.0),
     Parameter("start", 0.25, "s", "standstill before the motion", 0.0, 1e6),
-    Parameter(
-        "frequency",
-        6.0,
-        "Hz",
-        "frequency of sine and triangle; start of the sweep; first frequency of the stepped sine",
-        1e-4,
-        1e4,
-    ),
+    Parameter("frequency", 6.0, "Hz", "frequency of sine, triangle; first of sweep, stepped sine", 1e-4, 1e4),
     Parameter("end_frequency", 60.0, "Hz", "end of the sweep; last frequency of the stepped sine", 1e-4, 1e4),
     Parameter("sweep_time", 5.0, "s", "duration of the sweep", 1e-3, 1e6),
     Parameter(
         "steps", 30, "", "number of frequencies of the stepped sine, spaced evenly in logarithm", 1, 1000
     ),
     Parameter(
-        "cycles",
-        5,
-        "",
-        "number of cycles of the triangle; least number at each frequency of the stepped sine",
-        1,
-        10000,
+        "cycles", 5, "", "cycles of the triangle; least number at a frequency of the stepped sine", 1, 10000
     ),
     Parameter("step_time", 1.0, "s", "least time of each frequency of the stepped sine", 0.0, 1e4),
     Parameter("max_velocity", 8.0, "V/s", "largest velocity of the point-to-point motion", 1e-3, 1e4),

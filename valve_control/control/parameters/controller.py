@@ -1,20 +1,14 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Lists the parameters of `controller` and those of several nodes, and builds laws from their values."""
-
-from typing import Any
+"""Lists the parameters of `controller` and those of several nodes."""
 
 from valve_control.control.laws import linearisation, reshaping
 from valve_control.control.laws.common import SAMPLE_PERIOD, U_MAX
 from valve_control.control.laws.registry import LAWS, LEFT_OUT
-from valve_control.parameter import Parameter, Table, Values, running, word
+from valve_control.parameter import Parameter, Table, running
 
 AUTOSTART = Parameter(
-    "autostart",
-    True,
-    "",
-    "configure and activate at the start; false waits for lifecycle transitions",
-    node_only=True,
+    "autostart", True, "", "configure and activate at the start; false waits for transitions", node_only=True
 )
 REALTIME: Table = running(
     Parameter("realtime.lock_memory", False, "", "lock the process in memory (mlockall)"),
@@ -55,12 +49,7 @@ CONTROLLER: Table = (
         0.05,
     ),
     Parameter(
-        "transfer_time",
-        0.05,
-        "s",
-        "time constant with which the step between two laws decays after a change of controller",
-        0.001,
-        10.0,
+        "transfer_time", 0.05, "s", "time constant with which the step between two laws decays", 0.001, 10.0
     ),
     Parameter("state_decimation", 10, "", "every n-th sample appears on ~/state; 0: none", 0, 100000),
     Parameter(
@@ -84,7 +73,7 @@ CONTROLLER: Table = (
         "command_timeout",
         0.5,
         "s",
-        "silence of the command after which the spool returns to neutral; 0.0: never",
+        "silence of the command that returns the spool to neutral; 0.0: none",
         0.0,
         1e6,
     ),
@@ -100,40 +89,13 @@ CONTROLLER: Table = (
         0.0,
         1000.0,
     ),
-    Parameter(
-        "lvdt.hold_samples",
-        20,
-        "",
-        "largest number of missing or unusable LVDT readings in a row that is bridged; after one more "
-        "the voltage is 0 V",
-        0,
-        10000,
-    ),
-    Parameter(
-        "lvdt.recovery_samples",
-        20,
-        "",
-        "sound LVDT readings in a row after which control returns from 0 V",
-        1,
-        100000,
-    ),
+    Parameter("lvdt.hold_samples", 20, "", "missing or unusable readings in a row before 0 V", 0, 10000),
+    Parameter("lvdt.recovery_samples", 20, "", "sound readings in a row that end the 0 V", 1, 100000),
     Parameter("lvdt.limit", 11.0, "V", "readings beyond ± this are out of range", 0.1, 1000.0),
-    Parameter(
-        "lvdt.max_rate",
-        500.0,
-        "V/s",
-        "highest speed of the spool; a faster change of the reading is a jump",
-        0.1,
-        1e7,
-    ),
+    Parameter("lvdt.max_rate", 500.0, "V/s", "highest speed of the spool; faster readings jump", 0.1, 1e7),
     Parameter("lvdt.tolerance", 0.1, "V", "jump that noise alone can make", 0.0, 100.0),
     Parameter(
-        "lvdt.frozen_samples",
-        20,
-        "",
-        "number of equal readings in a row after which the LVDT is checked for freezing; 0: no check",
-        0,
-        100000,
+        "lvdt.frozen_samples", 20, "", "equal readings in a row that may be frozen; 0: no check", 0, 100000
     ),
     Parameter(
         "lvdt.frozen_voltage",
@@ -165,21 +127,9 @@ CONTROLLER: Table = (
         100.0,
     ),
     Parameter(
-        "lvdt.excitation",
-        0.1,
-        "V",
-        "least standard deviation of voltage and reading in motion at which they are compared",
-        0.001,
-        100.0,
+        "lvdt.excitation", 0.1, "V", "least deviation of voltage and reading that are compared", 0.001, 100.0
     ),
-    Parameter(
-        "lvdt.slow",
-        1.0,
-        "V/s",
-        "least speed of the readings at which they are compared with the voltage",
-        0.01,
-        1e4,
-    ),
+    Parameter("lvdt.slow", 1.0, "V/s", "least speed of readings that are compared with voltages", 0.01, 1e4),
     Parameter(
         "lvdt.hold_off",
         0.3,
@@ -190,39 +140,18 @@ CONTROLLER: Table = (
         1e6,
     ),
     Parameter("lvdt.hold_off_limit", 60.0, "s", "largest value of this time", 0.001, 1e6),
-    Parameter(
-        "lockstep",
-        False,
-        "",
-        "wait at each reading for the command of the same number (for a valve_simulator with clock: "
-        "lockstep and a command source)",
-    ),
+    Parameter("lockstep", False, "", "wait at each reading for the command of the same number"),
     Parameter(
         "save_file",
         "controller.yaml",
         "",
-        "file of ~/save_parameters, absolute or relative to the folder in which the node was started",
+        "file of ~/save_parameters, from the folder of the start",
         node_only=True,
     ),
-    Parameter(
-        "load_file",
-        "",
-        "",
-        "file of ~/load_parameters, absolute or relative to the same folder; empty: save_file",
-        node_only=True,
-    ),
+    Parameter("load_file", "", "", "file of ~/load_parameters, likewise; empty: save_file", node_only=True),
     AUTOSTART,
     *REALTIME,
     *reshaping.PARAMETERS,
     *linearisation.PARAMETERS,
     *(parameter for law in LAWS.values() for parameter in law.parameters),
 )
-
-
-def law_params(values: Values) -> Any:
-    """Params of the law that ``controller`` names.
-
-    Every other law is built too, so that a set that could not be switched to is refused at once.
-    Raises ParameterError.
-    """
-    return {name: law.build(values) for name, law in LAWS.items()}[word(values, "controller")]

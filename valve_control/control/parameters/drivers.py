@@ -25,10 +25,7 @@ SIMULATED: Table = tuple(
     if not parameter.node_only and parameter.name != "sample_period"
 ) + (
     Parameter(
-        "simulated.paced",
-        True,
-        "",
-        "one sample per period of real time; false: the next sample as soon as it is requested",
+        "simulated.paced", True, "", "one sample per period of real time; false: as soon as it is requested"
     ),
 )
 
@@ -70,34 +67,16 @@ VALVE_DRIVER: Table = (
     SAMPLE_PERIOD,
     *SIDES,
     Parameter("enable", True, "", "output on; false: 0 V and the output stage off, while readings continue"),
+    Parameter("watchdog", 0.1, "s", "silence of valve_voltage after which the output is 0 V", 0.005, 60.0),
     Parameter(
-        "watchdog",
-        0.1,
-        "s",
-        "silence of valve_voltage after which the output is 0 V, until a voltage arrives",
-        0.005,
-        60.0,
-    ),
-    Parameter(
-        "answer_share",
-        0.8,
-        "-",
-        "share of the sample period for which the driver waits for the voltage of a reading; it writes a "
-        "later voltage after the next reading",
-        0.0,
-        0.95,
+        "answer_share", 0.8, "-", "share of the period for which a reading's voltage is awaited", 0.0, 0.95
     ),
     AUTOSTART,
     *REALTIME,
     *KINDS_PARAMETERS,
 )
 DECIMATION = Parameter(
-    "signal_decimation",
-    1,
-    "",
-    "publish every n-th reading and voltage on spool_position and valve_voltage; the journal has all of them",
-    1,
-    1000,
+    "signal_decimation", 1, "", "publish every n-th reading and voltage; the journal has all", 1, 1000
 )
 DEVICE: Table = (DRIVER, DECIMATION, *SIDES, *KINDS_PARAMETERS)  # of a controller that has the device itself
 LIVE = frozenset(

@@ -8,18 +8,9 @@ from valve_control.control.parameters.valve import VALVE as VALVE
 from valve_control.parameter import Parameter, Table, running
 
 MANIFOLD: Table = running(
+    Parameter("valves", ["valve_1", "valve_2"], "", "names of the valves; each gets a namespace and a node"),
     Parameter(
-        "valves",
-        ["valve_1", "valve_2"],
-        "",
-        "names of the valves; each gets a namespace and a node of its own in this process",
-    ),
-    Parameter(
-        "node",
-        "controller",
-        "",
-        "node that is hosted for each valve",
-        choices=("controller", "valve_simulator"),
+        "node", "controller", "", "node that is hosted for a valve", choices=("controller", "valve_simulator")
     ),
 )
 
@@ -29,15 +20,11 @@ RECORDER: Table = running(
         "storage",
         "auto",
         "",
-        "storage of the bag; auto: mcap, or sqlite3 where the Python package mcap is not installed",
+        "auto: mcap, or sqlite3 where the Python package mcap is missing",
         choices=("auto", "mcap", "sqlite3"),
     ),
     Parameter(
-        "compression",
-        "none",
-        "",
-        "compression of the bag's chunks; storage sqlite3 has none",
-        choices=("none", "zstd", "lz4"),
+        "compression", "none", "", "compression of chunks; sqlite3 has none", choices=("none", "zstd", "lz4")
     ),
     Parameter(
         "topics",
@@ -46,25 +33,13 @@ RECORDER: Table = running(
         "regular expressions, one of which must match the whole name of a topic; empty: the topics of "
         "all valves and axes, /diagnostics and /clock; /parameter_events is always recorded",
     ),
-    Parameter(
-        "flush_period",
-        0.25,
-        "s",
-        "longest part of the recording that is lost if the recorder is killed",
-        0.02,
-        1.0,
-    ),
+    Parameter("flush_period", 0.25, "s", "longest part that is lost if the recorder is killed", 0.02, 1.0),
     Parameter("min_free", 64.0, "MB", "free space on the disk at which the recording ends", 0.0, 1e6),
 )
 
 DASHBOARD: Table = running(
     Parameter("port", 8080, "", "port of the page on 127.0.0.1; 0: any free port", 0, 65535),
-    Parameter(
-        "token",
-        "",
-        "",
-        "token in the address of the page (?token=...) that permits changes; empty: a new one at each start",
-    ),
+    Parameter("token", "", "", "token in the address of the page that permits changes; empty: a new one"),
     Parameter("folder", "out/dashboard", "", "folder of recordings, reports and results of runs"),
 )
 

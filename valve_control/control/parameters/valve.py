@@ -8,13 +8,7 @@ from valve_control.control.plant import common, models, registry, sensor
 from valve_control.parameter import Parameter, Table
 
 FAULT_SAMPLES = Parameter(
-    "fault.samples",
-    0,
-    "",
-    "samples that an injected fault lasts; 0: until it is set to none",
-    0,
-    10**9,
-    node_only=True,
+    "fault.samples", 0, "", "samples that a fault lasts; 0: until it is none", 0, 10**9, node_only=True
 )
 
 VALVE: Table = (
@@ -36,27 +30,21 @@ VALVE: Table = (
         "patience",
         0.01,
         "s",
-        "longest delay of the next sample while the voltage is late; then the last voltage holds",
+        "longest wait for a late voltage; then the last holds",
         0.0,
         1.0,
         node_only=True,
     ),
     *common.DISTURBANCES,
     Parameter(
-        "listeners",
-        1,
-        "",
-        "lockstep: number of subscriptions to wait for before the first reading",
-        1,
-        100,
-        node_only=True,
+        "listeners", 1, "", "lockstep: subscriptions awaited before the first reading", 1, 100, node_only=True
     ),
     *sensor.PARAMETERS,
     Parameter(
         "clock",
         "wall",
         "",
-        "wall: one sample per period of real time; lockstep: the next as soon as the voltage has come",
+        "a sample per period of real time, or the next as soon as the voltage has come",
         choices=("wall", "lockstep"),
         node_only=True,
     ),
@@ -64,7 +52,7 @@ VALVE: Table = (
         "voltage_timeout",
         0.1,
         "s",
-        "silence of the voltage after which it counts as 0 V and the spring centres the spool; 0.0: never",
+        "silence of the voltage that counts as 0 V; 0.0: none",
         0.0,
         1e6,
         node_only=True,
@@ -94,7 +82,7 @@ VALVE: Table = (
         "fault.valve",
         "none",
         "",
-        "injected fault of the valve: a stuck spool, or a weak solenoid (a fifth of the gain)",
+        "injected fault: a stuck spool, or a fifth of the gain",
         choices=("none", "stuck", "weak"),
         node_only=True,
     ),

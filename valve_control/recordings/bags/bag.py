@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 KINDS = {".mcap": "mcap", ".db3": "sqlite3"}  # storage by suffix
 ZSTD = (".zstd", ".zst")
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-FAR = 3600.0  # s between two stamps of one recording from which on they belong to different stretches of time
 
 
 class Series(NamedTuple):
@@ -62,21 +61,6 @@ class Series(NamedTuple):
         )
 
 
-def edges(time: Integers) -> Floats:
-    """First stamps [ns] of the stretches of ``time``, hours apart, but for the first stretch."""
-    ordered = np.sort(time).astype(np.float64)
-    return np.asarray(ordered[1:][np.diff(ordered) > FAR * 1e9], dtype=np.float64)
-
-
-def stretch(time: Integers) -> tuple[int, int]:
-    """First and last of ``time`` [ns] in that of its stretches, hours apart, with the most messages."""
-    ordered = np.sort(time)
-    starts = np.searchsorted(ordered.astype(np.float64), edges(time))
-    bounds = [0, *starts.tolist(), len(ordered)]
-    longest = len(bounds) - 2 - int(np.argmax(np.diff(bounds)[::-1]))
-    return int(ordered[bounds[longest]]), int(ordered[bounds[longest + 1] - 1])
-
-
 class Bag:
     """An open bag with its topics and files.
 
@@ -92,7 +76,6 @@ class Bag:
         self.version: int | None = None  # of metadata.yaml
         self.distribution = ""
         self._unpacked: tempfile.TemporaryDirectory[str] | None = None
-        self._formats: dict[str, str] = {}  # serialization of topics, where it is another than CDR
         try:
             self._files = self._open()
         except OSError as error:
@@ -101,17 +84,11 @@ class Bag:
             ) from error
         for file in self._files:
             self.problems += file.problems
-            for own in file.topics:
-                topic = self._as_listed(own)
+            for topic in file.topics:
                 known = self.topics.setdefault(topic.name, topic)
-                for what, one, other in (
-                    ("types", known.type, topic.type),
-                    ("serializations", known.encoding, topic.encoding),
-                ):
-                    if one != other:
-                        self._complain(
-                            f"{topic.name} has two {what}, {one} and {other}; the second is left out"
-                        )
+                if not self._is_known(topic):
+                    one, other = (f"{t.type} ({t.encoding})" for t in (known, topic))
+                    self._complain(f"{topic.name} is {one} and {other}; the second is left out")
         if not self.topics:
             reasons = f": {'; '.join(self.problems)}" if self.problems else ""
             self.close()
@@ -140,11 +117,11 @@ class Bag:
 
     @property
     def begin(self) -> int:
-        """Log time [ns] of the first message, 0 if there are none; not of one hours from all near it."""
+        """Log time [ns] of the first message, 0 if there are none."""
         if self.table is not None:
             return int(self.table.times[0]) if len(self.table.times) else 0
         firsts = filter(None, map(_first_block, self._files))
-        return min((stretch(block.log_time)[0] for block in firsts), default=0)
+        return min((int(block.log_time.min()) for block in firsts), default=0)
 
     @property
     def damaged_chunks(self) -> int:
@@ -166,20 +143,15 @@ class Bag:
 
     # Reading
 
-    def blocks(
-        self,
-        topics: Collection[str],
-        start: int | None = None,
-        end: int | None = None,
-    ) -> Iterator[tuple[str, Block]]:
-        """Yield messages of ``topics`` in blocks, each of one topic; ``start``, ``end`` [ns]: log times."""
+    def blocks(self, topics: Collection[str]) -> Iterator[tuple[str, Block]]:
+        """Yield messages of ``topics`` in blocks, each of one topic."""
         before = 0
         for file in self._files:
-            names = [t.name if self._is_known(self._as_listed(t)) else "" for t in file.topics]
+            names = [t.name if self._is_known(t) else "" for t in file.topics]
             wanted = [i for i, name in enumerate(names) if name in topics]
             if isinstance(file, TableFile):
                 file.wanted = wanted
-            for block in file.blocks(start, end):
+            for block in file.blocks():
                 block = block._replace(place=before + block.place)
                 before = int(block.place[-1]) + 1 if len(block.place) else before
                 for i in wanted:
@@ -194,22 +166,19 @@ class Bag:
     def in_file_order(self) -> Iterator[tuple[str, int, int, int, bytes]]:
         """Yield topic, log time [ns], publish time [ns], number and content of all messages."""
         for file in self._files:
-            names = [t.name if self._is_known(self._as_listed(t)) else "" for t in file.topics]
+            names = [t.name if self._is_known(t) else "" for t in file.topics]
             for block in file.blocks():
                 part = self._decompressed(block) if self.compression == "message" else block
-                columns = (part.topic, part.log_time, part.publish_time, part.sequence)
-                rows = zip(*(c.tolist() for c in (*columns, part.offset, part.length)), strict=True)
-                for topic, log, publish, number, at, size in rows:
+                columns = zip(*(column.tolist() for column in part[1:5]), part.contents(), strict=True)
+                for topic, *rest in columns:
                     if names[topic]:
-                        yield names[topic], log, publish, number, part.buffer[at : at + size].tobytes()
+                        yield names[topic], *rest
 
     def read(
         self,
         fields: Mapping[str, Sequence[str]],
         raw: Collection[str] = (),
         sparse: Collection[str] = (),
-        start: int | None = None,
-        end: int | None = None,
     ) -> dict[str, Series]:
         """Read numeric ``fields`` of topics, and whole messages of the topics in ``raw``.
 
@@ -220,7 +189,7 @@ class Bag:
             name: _Collector(self.topic(name), fields.get(name, ()), name in raw, name in sparse)
             for name in {*fields, *raw}
         }
-        for name, block in self.blocks(collected, start, end):
+        for name, block in self.blocks(collected):
             collected[name].take(block)
         return {name: collector.series() for name, collector in collected.items()}
 
@@ -237,8 +206,7 @@ class Bag:
     def messages(self, name: str) -> Iterator[bytes]:
         """Yield messages of a topic from its beginning, read only as they are asked for."""
         for _, block in self.blocks([name]):
-            for at, size in zip(block.offset.tolist(), block.length.tolist(), strict=True):
-                yield block.buffer[at : at + size].tobytes()
+            yield from block.contents()
 
     # How
 
@@ -295,7 +263,7 @@ class Bag:
                 "are known"
             )
         self.version, self.distribution = listing.version, listing.distribution
-        self.compression, self._formats = listing.compression, listing.formats
+        self.compression = listing.compression
         paths = [self.path / name for name in listing.files]
         for path in paths:
             if not path.exists():
@@ -312,24 +280,13 @@ class Bag:
 
     def _recognise(self, files: "Sequence[File]") -> None:
         """Find out whether rosbag2 compressed the messages, where no metadata.yaml says it."""
-        if self.compression:
-            return
-        if self._unpacked is not None:
-            self.compression = "file"
-            return
-        block = next(filter(None, map(_first_block, files)), None)
-        if block is None:
-            return
-        at = int(block.offset[0])
-        if block.buffer[at : at + len(ZSTD_MAGIC)].tobytes() == ZSTD_MAGIC:
+        if self.compression or self._unpacked is not None:
+            self.compression = self.compression or "file"
+        elif any(block.first.startswith(ZSTD_MAGIC) for block in filter(None, map(_first_block, files))):
             self.compression = "message"
             self._complain(
                 f"messages of {self.path} are compressed with zstd, though no metadata.yaml says so"
             )
-
-    def _as_listed(self, topic: Topic) -> Topic:
-        """``topic`` with the serialization that metadata.yaml names, if that is another than CDR."""
-        return topic._replace(encoding=self._formats.get(topic.name, topic.encoding))
 
     def _is_known(self, topic: Topic) -> bool:
         known = self.topics[topic.name]
@@ -372,9 +329,9 @@ class Bag:
 
         decompress = zstandard.ZstdDecompressor().decompressobj
         parts, good = [], []
-        for i, (at, size) in enumerate(zip(block.offset.tolist(), block.length.tolist(), strict=True)):
+        for i, content in enumerate(block.contents()):
             try:
-                parts.append(decompress().decompress(block.buffer[at : at + size].tobytes()))
+                parts.append(decompress().decompress(content))
                 good.append(i)
             except zstandard.ZstdError as error:
                 self._complain(f"messages of {self.path} cannot be decompressed and are left out: {error}")
@@ -437,8 +394,7 @@ class _Collector:
             for has, mask in zip(self._present, masks, strict=False):
                 has.append(mask)
         if self._keep_raw:
-            for at, size in zip(block.offset.tolist(), block.length.tolist(), strict=True):
-                self._raw.append(block.buffer[at : at + size].tobytes())
+            self._raw += block.contents()
         for pieces, column in zip(self._integers, block[2:6], strict=True):
             pieces.append(column.copy())
         for k, numbers in enumerate(self._floats):

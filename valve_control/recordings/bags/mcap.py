@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import lz4.frame
 import numpy as np
@@ -86,15 +86,6 @@ def _windows(buffer: Bytes, start: int) -> Iterator[tuple[Integers, Integers, in
             yield messages[:count], others[:rest], int(at)
 
 
-class ChunkPlace(NamedTuple):
-    """Where a chunk lies, and what its header says."""
-
-    begin: int  # of its content in the file
-    length: int
-    start: int  # ns
-    end: int  # ns
-
-
 class McapFile:
     """One MCAP file, finished or not.
 
@@ -114,7 +105,7 @@ class McapFile:
         self._buffer: Bytes = np.asarray(np.memmap(path, dtype=np.uint8, mode="r"))
         if bytes(self._buffer[: len(MAGIC)]) != MAGIC:
             raise BagError(f"{path} is not an MCAP file: it does not begin with MCAP's magic bytes")
-        self._chunks: list[ChunkPlace] = []
+        self._chunks: list[tuple[int, int]] = []  # beginnings and lengths of their records
         self._damaged: set[int] = set()  # places of the chunks that are left out
         self._loose = False  # whether messages stand outside of chunks
         self._index()
@@ -128,32 +119,24 @@ class McapFile:
         """Release the file."""
         self._buffer = np.empty(0, dtype=np.uint8)
 
-    def blocks(self, start: int | None = None, end: int | None = None) -> Iterator[Block]:
-        """Yield messages with a log time [ns] from ``start`` to before ``end``."""
+    def blocks(self) -> Iterator[Block]:
+        """Yield all messages."""
         if self._loose:
             for messages, _, _ in _windows(self._buffer, len(MAGIC)):
-                yield from self._chosen(self._buffer, messages, start, end)
+                yield from self._block(self._buffer, messages)
         for place in self._chunks:
-            if (start is None or place.end >= start) and (end is None or place.start < end):
-                content = self._content(place)
-                for messages, _, _ in _windows(content, 0):
-                    yield from self._chosen(content, messages, start, end)
+            content = self._content(*place)
+            for messages, _, _ in _windows(content, 0):
+                yield from self._block(content, messages)
 
-    def _chosen(
-        self, buffer: Bytes, messages: Integers, start: int | None, end: int | None
-    ) -> Iterator[Block]:
+    def _block(self, buffer: Bytes, messages: Integers) -> Iterator[Block]:
         if len(messages) == 0:
             return
         channel, log, publish, sequence, offset, length = np.ascontiguousarray(messages.T)
         topic = self._topic_of[channel]
-        keep = topic >= 0
-        if start is not None:
-            keep &= log >= start
-        if end is not None:
-            keep &= log < end
         publish = np.where(publish == 0, log, publish)
         block = Block(buffer, topic, log, publish, sequence, np.arange(len(topic)), offset, length)
-        yield block if keep.all() else block.select(keep)
+        yield block if (topic >= 0).all() else block.select(topic >= 0)
 
     def _index(self) -> None:
         """Find chunks, schemas and channels; a finished file repeats the last two in its summary."""
@@ -165,8 +148,7 @@ class McapFile:
             self._learn(self._buffer, others)
             for opcode, begin, length in others.tolist():
                 if opcode == Opcode.CHUNK and length >= CHUNK_HEAD.size:
-                    times = self._buffer[begin : begin + 16].view(np.uint64).tolist()
-                    self._chunks.append(ChunkPlace(begin, length, *times))
+                    self._chunks.append((begin, length))
                 finished = opcode == Opcode.FOOTER
         if not finished:
             self._complain(
@@ -175,7 +157,7 @@ class McapFile:
             )
         if not finished or not self.topics:
             for place in self._chunks:
-                content = self._content(place)
+                content = self._content(*place)
                 for _, others, _ in _windows(content, 0):
                     self._learn(content, others)
 
@@ -213,13 +195,13 @@ class McapFile:
         self.topics.append(topic)
         return len(self.topics) - 1
 
-    def _content(self, place: ChunkPlace) -> Bytes:
+    def _content(self, begin: int, record: int) -> Bytes:
         """Uncompressed records of a chunk; none, and a note in ``problems``, if it is damaged."""
         try:
-            _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(self._buffer.data, place.begin)
-            at = place.begin + CHUNK_HEAD.size
+            _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(self._buffer.data, begin)
+            at = begin + CHUNK_HEAD.size
             compression = bytes(self._buffer[at : at + name_length]).decode()
-            content = self._buffer[at + name_length + 8 : place.begin + place.length]
+            content = self._buffer[at + name_length + 8 : begin + record]
             if compression == "zstd":
                 content = np.frombuffer(zstandard.decompress(content.data, size), dtype=np.uint8)
             elif compression == "lz4":
@@ -230,8 +212,8 @@ class McapFile:
                 raise ValueError("its checksum is wrong")
         except DAMAGE as error:
             reason = (str(error) or type(error).__name__).splitlines()[0]
-            self._damaged.add(place.begin)
-            self._complain(f"{self.path}: the chunk at byte {place.begin} is damaged and left out: {reason}")
+            self._damaged.add(begin)
+            self._complain(f"{self.path}: the chunk at byte {begin} is damaged and left out: {reason}")
             return np.empty(0, dtype=np.uint8)
         return content
 

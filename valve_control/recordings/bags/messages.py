@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Defines messages and topics in the form in which the readers of both storages return them."""
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy.typing as npt
@@ -46,6 +47,16 @@ class Block(NamedTuple):
     place: Integers  # among all messages: of the block, or of the bag
     offset: Integers
     length: Integers
+
+    def contents(self) -> Iterator[bytes]:
+        """Yield the messages themselves."""
+        for at, size in zip(self.offset.tolist(), self.length.tolist(), strict=True):
+            yield self.buffer[at : at + size].tobytes()
+
+    @property
+    def first(self) -> bytes:
+        """The first message."""
+        return next(self.contents())
 
     def select(self, chosen: npt.NDArray[Any]) -> "Block":
         """The messages chosen by a mask or by indices."""

@@ -12,7 +12,7 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from valve_control import inputs, outputs
 from valve_control.recordings.bags.errors import BagError, refuse_pointer
-from valve_control.recordings.bags.messages import CDR, absolute
+from valve_control.recordings.bags.messages import Topic
 
 NAME = "metadata.yaml"
 VERSION = 9
@@ -20,44 +20,6 @@ ROOT = "rosbag2_bagfile_information"
 DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 POLICIES = ("history", "reliability", "durability", "liveliness")
-
-
-class TopicMetadata(NamedTuple):
-    """A topic of a bag."""
-
-    name: str
-    type: str
-    serialization_format: str = "cdr"
-    offered_qos_profiles: tuple[Qos, ...] = ()
-    type_description_hash: str = ""
-
-
-class Counted(NamedTuple):
-    """A topic and the number of its messages."""
-
-    topic: TopicMetadata
-    message_count: int
-
-
-class File(NamedTuple):
-    """A storage file of a bag."""
-
-    path: str  # relative to the bag's folder
-    starting_time: int  # ns since 1970, of the earliest message; 0 without messages
-    duration: int  # ns, to the latest message
-    message_count: int
-
-
-class Metadata(NamedTuple):
-    """Content of a metadata.yaml."""
-
-    storage_identifier: str  # mcap or sqlite3
-    starting_time: int  # ns since 1970
-    duration: int  # ns
-    message_count: int
-    topics: tuple[Counted, ...]
-    files: tuple[File, ...]
-    relative_file_paths: tuple[str, ...]
 
 
 class Listing(NamedTuple):
@@ -68,23 +30,6 @@ class Listing(NamedTuple):
     compression: str  # file, message or ""
     message_count: int
     files: tuple[str, ...]
-    formats: dict[str, str]  # serialization by topic, where it is another than CDR
-
-
-def of_files(storage: str, topics: Iterable[Counted], files: Sequence[File]) -> Metadata:
-    """Metadata of a bag of ``storage`` from its topics and files."""
-    filled = [file for file in files if file.message_count]
-    start = min((file.starting_time for file in filled), default=0)
-    end = max((file.starting_time + file.duration for file in filled), default=0)
-    return Metadata(
-        storage_identifier=storage,
-        starting_time=start,
-        duration=end - start,
-        message_count=sum(file.message_count for file in files),
-        topics=tuple(topics),
-        files=tuple(files),
-        relative_file_paths=tuple(file.path for file in files),
-    )
 
 
 # Writing
@@ -95,14 +40,14 @@ def qos_text(profiles: Sequence[Qos]) -> str:
     return _dump([_qos_tree(qos) for qos in profiles]).strip() if profiles else ""
 
 
-def as_text(metadata: Metadata) -> str:
+def as_text(tree: dict[str, Any]) -> str:
     """YAML text of version 9 without its root key, as storage files contain it."""
-    return _dump(_tree(metadata)).strip()
+    return _dump(tree).strip()
 
 
-def write(folder: Path, metadata: Metadata) -> None:
+def write(folder: Path, tree: dict[str, Any]) -> None:
     """Write metadata.yaml of version 9 into ``folder``, whole or not at all. Raises OSError."""
-    outputs.write(str(folder / NAME), _dump({ROOT: _tree(metadata)}))
+    outputs.write(str(folder / NAME), _dump({ROOT: tree}))
 
 
 def _dump(tree: Any) -> str:
@@ -117,35 +62,42 @@ def _qos_tree(qos: Qos) -> dict[str, Any]:
     return qos._asdict() | {name: getattr(qos, name).name.lower() for name in POLICIES} | times
 
 
-def _tree(metadata: Metadata) -> dict[str, Any]:
+def of_file(
+    storage: str, name: str, begin: int, end: int, topics: Iterable[tuple[Topic, int]]
+) -> dict[str, Any]:
+    """Content of metadata.yaml of a bag with one file ``name`` from ``begin`` to ``end`` [ns since 1970].
+
+    ``topics``: each with the number of its messages.
+    """
+    counted = list(topics)
+    extent = {
+        "starting_time": {"nanoseconds_since_epoch": begin},
+        "duration": {"nanoseconds": end - begin},
+        "message_count": sum(count for _, count in counted),
+    }
     return {
         "version": VERSION,
-        "storage_identifier": metadata.storage_identifier,
-        "duration": {"nanoseconds": metadata.duration},
-        "starting_time": {"nanoseconds_since_epoch": metadata.starting_time},
-        "message_count": metadata.message_count,
+        "storage_identifier": storage,
+        "duration": extent["duration"],
+        "starting_time": extent["starting_time"],
+        "message_count": extent["message_count"],
         "topics_with_message_count": [
             {
                 "topic_metadata": {
-                    **topic._asdict(),
-                    "offered_qos_profiles": [_qos_tree(qos) for qos in topic.offered_qos_profiles],
+                    "name": topic.name,
+                    "type": topic.type,
+                    "serialization_format": topic.encoding,
+                    "offered_qos_profiles": inputs.from_yaml(topic.qos) if topic.qos else [],
+                    "type_description_hash": topic.type_hash,
                 },
                 "message_count": count,
             }
-            for topic, count in metadata.topics
+            for topic, count in counted
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": list(metadata.relative_file_paths),
-        "files": [
-            {
-                "path": file.path,
-                "starting_time": {"nanoseconds_since_epoch": file.starting_time},
-                "duration": {"nanoseconds": file.duration},
-                "message_count": file.message_count,
-            }
-            for file in metadata.files
-        ],
+        "relative_file_paths": [name],
+        "files": [{"path": name, **extent}],
         "custom_data": None,
         "ros_distro": "jazzy",
     }
@@ -162,7 +114,6 @@ def read(folder: Path) -> Listing:
         bag = inputs.from_yaml(path.read_text(encoding="utf-8"))[ROOT]
         version = int(bag["version"])
         mode = str(bag.get("compression_mode", "")).lower()
-        topics = [entry["topic_metadata"] for entry in bag["topics_with_message_count"]]
         listing = Listing(
             version=version,
             distribution=str(bag.get("ros_distro", "")),
@@ -170,11 +121,6 @@ def read(folder: Path) -> Listing:
             message_count=int(bag["message_count"]),
             # Before version 4 the paths began with the bag's own folder.
             files=tuple(dict.fromkeys(PurePath(str(name)).name for name in bag["relative_file_paths"])),
-            formats={
-                absolute(topic["name"]): topic["serialization_format"]
-                for topic in topics
-                if topic["serialization_format"] != CDR
-            },
         )
     except OSError as error:
         raise BagError(f"{path} cannot be read: {error.strerror or error}") from error

@@ -72,13 +72,13 @@ class SqliteFile:
             for row in self._db.execute(
                 "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
             ):
-                name, encoding, text = _texts(row)
+                name, encoding, text = row
                 definitions[name] = (encoding, text)
         self._ids: dict[int, int] = {}
         cursor = self._db.execute("SELECT * FROM topics")
         columns = [entry[0] for entry in cursor.description]
         for row in cursor:
-            entry = dict(zip(columns, _texts(row), strict=True))
+            entry = dict(zip(columns, row, strict=True))
             encoding, text = definitions.get(entry["type"], ("", ""))
             self._ids[entry["id"]] = len(self.topics)
             self.topics.append(
@@ -97,29 +97,18 @@ class SqliteFile:
         """Close the file."""
         self._db.close()
 
-    def blocks(self, start: int | None = None, end: int | None = None) -> Iterator[Block]:
-        """Yield messages with a log time [ns] from ``start`` to before ``end``."""
+    def blocks(self) -> Iterator[Block]:
+        """Yield all messages."""
+        times = f"LEFT JOIN {TIMES} ON message_id = id" if TIMES in self._tables else ""
+        columns = "ifnull(publish_time, 0), ifnull(sequence, 0)" if times else "0, 0"
+        query = f"SELECT topic_id, timestamp, {columns}, data FROM messages {times} ORDER BY id"
         try:
-            yield from self._blocks(start, end)
+            cursor = self._db.execute(query)
+            while (block := self._block(cursor)) is not None:
+                yield block if (block.topic >= 0).all() else block.select(block.topic >= 0)
         except DAMAGE as error:
             self.damaged = True
             self.problems.append(f"{self.path} is damaged, what follows is left out: {error} ({SALVAGE})")
-
-    def _blocks(self, start: int | None, end: int | None) -> Iterator[Block]:
-        conditions, limits = [], []
-        for text, bound in (("timestamp >= ?", start), ("timestamp < ?", end)):
-            if bound is not None:
-                conditions.append(text)
-                limits.append(bound)
-        where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
-        times = f"LEFT JOIN {TIMES} ON message_id = id" if TIMES in self._tables else ""
-        columns = "ifnull(publish_time, 0), ifnull(sequence, 0)" if times else "0, 0"
-        cursor = self._db.execute(
-            f"SELECT topic_id, timestamp, {columns}, data FROM messages {times} {where} ORDER BY id",
-            limits,
-        )
-        while (block := self._block(cursor)) is not None:
-            yield block if (block.topic >= 0).all() else block.select(block.topic >= 0)
 
     def _topics_of(self, numbers: Integers) -> Integers:
         """Topics of messages by the ``numbers`` of the database, -1 for one that has none."""
@@ -168,8 +157,3 @@ def opened(path: Path, immutable: bool) -> sqlite3.Connection:
     database = sqlite3.connect(f"{path.resolve().as_uri()}?{mode}", uri=True)
     database.text_factory = lambda data: data.decode(errors="replace")
     return database
-
-
-def _texts(row: tuple[Any, ...]) -> list[Any]:
-    """Columns of a row; one bit makes a text a BLOB of the same bytes."""
-    return [value.decode(errors="replace") if isinstance(value, bytes) else value for value in row]

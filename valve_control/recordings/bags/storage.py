@@ -1,13 +1,12 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Storage files of a new bag: their common interface, and SQLite."""
+"""Storage file of a new bag: SQLite."""
 
 import sqlite3
 from pathlib import Path
-from typing import NamedTuple, Protocol
 
 from valve_control.recordings.bags import metadata
-from valve_control.recordings.bags.metadata import TopicMetadata
+from valve_control.recordings.bags.messages import Topic
 
 PENDING = 2**20  # bytes of messages that are held in memory at most
 OVERHEAD = 31  # bytes of an MCAP message record beside its data
@@ -32,43 +31,15 @@ COMMIT;
 """
 
 
-class Definition(NamedTuple):
-    """Definition of a message type."""
-
-    format: str  # ros2msg, ros2idl, or "" where the text is not known
-    text: str
-
-
-class Storage(Protocol):
-    """One storage file. ``write`` and ``size`` apart, all methods raise OSError or sqlite3.Error."""
-
-    path: Path
-    pending: int  # bytes of messages in memory
-
-    def add_topic(self, topic: TopicMetadata, definition: Definition) -> None:
-        """Add ``topic`` with the ``definition`` of its message type."""
-
-    def write(self, topic: str, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
-        """Buffer a message; times in ns."""
-
-    def size(self) -> int:
-        """Size of the file [bytes], with what is buffered."""
-
-    def flush(self) -> None:
-        """Write everything that is buffered."""
-
-    def finish(self, text: str) -> None:
-        """Finish the file after a flush; ``text``: the bag's metadata, to be stored in it."""
-
-    def abandon(self) -> None:
-        """After an error, go back to the last flush, and finish the file if that is possible."""
-
-
 class SqliteStorage:
-    """An SQLite database with rosbag2's schema 4, and a table of ours for source times and numbers."""
+    """An SQLite database with rosbag2's schema 4, and a table of ours for source times and numbers.
+
+    ``write`` and ``size`` apart, all methods raise OSError or sqlite3.Error.
+    """
+
+    whole = True  # whether it is finished after an error of writing
 
     def __init__(self, path: Path) -> None:
-        self.path = path
         self.pending = 0
         self._topics: dict[str, int] = {}
         self._types: set[str] = set()
@@ -82,25 +53,18 @@ class SqliteStorage:
         self._database.execute("PRAGMA synchronous=NORMAL")
         self._database.executescript(SQLITE_SCHEMA)
 
-    def add_topic(self, topic: TopicMetadata, definition: Definition) -> None:
+    def add_topic(self, topic: Topic) -> None:
         """Add a row of topics, and one of message_definitions for its type."""
-        if definition.text and topic.type not in self._types:
+        if topic.definition and topic.type not in self._types:
             self._types.add(topic.type)
             self._database.execute(
                 "INSERT INTO message_definitions VALUES (?, ?, ?, ?, ?)",
-                (len(self._types), topic.type, *definition, topic.type_description_hash),
+                (len(self._types), topic.type, topic.definition_format, topic.definition, topic.type_hash),
             )
         number = self._topics[topic.name] = len(self._topics) + 1
         self._database.execute(
             "INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)",
-            (
-                number,
-                topic.name,
-                topic.type,
-                topic.serialization_format,
-                metadata.qos_text(topic.offered_qos_profiles),
-                topic.type_description_hash,
-            ),
+            (number, topic.name, topic.type, topic.encoding, topic.qos, topic.type_hash),
         )
 
     def write(self, topic: str, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:

@@ -93,17 +93,12 @@ class TableFile:
     def close(self) -> None:
         """Close the file, which has been read as a whole."""
 
-    def blocks(self, start: int | None = None, end: int | None = None) -> Iterator[Block]:
-        """Yield the rows with a time [ns] from ``start`` to before ``end``, one message for each column.
-
-        The messages of a row share their place.
-        """
-        first = 0 if start is None else int(np.searchsorted(self.times, start))
-        last = len(self.times) if end is None else int(np.searchsorted(self.times, end))
+    def blocks(self) -> Iterator[Block]:
+        """Yield all rows, one message for each column; the messages of a row share their place."""
         usable = [i for i in self.wanted if not self.columns[i].flaw]
-        for begin in range(first, last, ROWS):
+        for begin in range(0, len(self.times), ROWS):
             if usable:
-                yield self._block(usable, begin, min(begin + ROWS, last))
+                yield self._block(usable, begin, min(begin + ROWS, len(self.times)))
 
     def _block(self, usable: list[int], begin: int, end: int) -> Block:
         rows = slice(begin, end)
