@@ -123,8 +123,6 @@ def test_wrong_readings_never_reach_the_upper_level_and_too_many_in_a_row_stop_i
         assert supervisor.mode(s)[0] is (Mode.SAFE if expected else Mode.DEGRADED if in_a_row else Mode.OK)
 
 
-
-
 def run_away(p, stamps, numbers):
     """Rates of the error [m/s] of an axis that runs away from its goal at 0.01 m/s; ``stamps`` in periods."""
     s, rates, before = supervisor.at_rest(p), [], None
