@@ -66,6 +66,7 @@ def add_commands(commands: Any) -> None:
 
 def _study(arguments: argparse.Namespace) -> int:
     from valve_control.control.simulation import robustness
+    from valve_control.design.tuning import verification
 
     _check(arguments)
     chosen = _chosen(arguments)
@@ -106,6 +107,7 @@ def _study(arguments: argparse.Namespace) -> int:
         "controller": chosen.settings["controller"]["controller"],
         **robustness.summary(found, limit),
     }
+    result["limits"] = verification.of_study(chosen, found, arguments.threads)
     if arguments.json != "-":
         _print(result)
         print(f"all results are in {folder}")
@@ -180,6 +182,8 @@ def _chosen(arguments: argparse.Namespace) -> "Study":
 
 
 def _print(result: dict[str, Any]) -> None:
+    from valve_control.design.tuning import limits, verification
+
     percents = list(next(iter(result["percentiles"].values()), {}))
     print(f"{'percentile':16}" + "".join(f"{p:>9}" for p in percents))
     for name, row in result["percentiles"].items():
@@ -193,6 +197,8 @@ def _print(result: dict[str, Any]) -> None:
         f"{result['valves']} valves ({', '.join(shares)})"
     )
     print(f"worst by e_rms (--replay N): {', '.join(map(str, result['worst']['e_rms']))}")
+    if result["limits"]:
+        print("\n".join(limits.as_text(result["limits"], f"of the first {verification.LOOKED_AT} valves")))
 
 
 def _draw(path: Path, found: "StudyResult", controller: str) -> None:

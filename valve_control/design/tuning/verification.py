@@ -12,11 +12,17 @@ import numpy.typing as npt
 from valve_control.arrays import Floats
 from valve_control.control.analysis import steps
 from valve_control.control.laws.law import Law
-from valve_control.control.linear import margins
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.linear import margins, stability
+from valve_control.control.parameters import build
+from valve_control.control.simulation import robustness
+from valve_control.control.simulation.robustness import Study, StudyResult
 from valve_control.design.tuning import limit_cycles, limits, overshoot, trial
 from valve_control.design.tuning.trial import GainSet, Problem, Threads, TrialResult, TuningMotion
+from valve_control.parameter import word
 
 SLOWER = 1.1  # times as long: a motion of the search, turned over, as one that it did not see
+LOOKED_AT = 64  # valves of a study
 SLACK = 1.05  # times the limit of the chatter, which valves that were not seen may have
 
 
@@ -112,6 +118,46 @@ def unsettled(v: Verified) -> list[str]:
         f"{100.0 * v.unsettled_share:.2g} % of the steps are not settled to {100.0 * steps.BAND:g} % within "
         f"{overshoot.HELD:g} s"
     ]
+
+
+def of_study(study: Study, found: StudyResult, threads: Threads) -> list[dict[str, Any]]:
+    """How many of the first LOOKED_AT valves miss each limit of a search, for JSON; [] if nothing moves."""
+    asked, counts = trial.USUAL._replace(overshoot=trial.OVERSHOOT), []
+    points, periods = robustness.draw(study, 0, min(LOOKED_AT, study.valves))
+    for period in np.unique(periods).tolist():
+        values = robustness.sampled(study, "controller", period)
+        wanted = build.commands(robustness.sampled(study, "command_source", period))
+        if np.ptp(wanted) == 0.0:
+            return []
+        own = np.flatnonzero(periods == period)
+        plants = [build.valve_params(robustness.valve_of(study, int(i), points[i], period)) for i in own]
+        motions = [TuningMotion("command", wanted)]
+        problem = Problem(values, motions, plants, plants, asked, False, study.seed)
+        counts.append(_of_valves(problem, found.results.saturated[own], threads))
+    return limits.as_rows(limits.together(counts), limits.asked(asked))
+
+
+def _of_valves(problem: Problem, saturated: Floats, threads: Threads) -> limits.Counts:
+    """How many of the plants of ``problem`` miss each limit with its own gains, and the best of them.
+
+    ``saturated``: share of saturated samples of each. Overshoot: of the worst step.
+    """
+    gains, counts, law = GainSet({}, 0.0), limits.Counts(), LAWS[word(problem.values, "controller")]
+    params, wanted = law.build(problem.values), limits.asked(problem.limits)
+    seen = [stability.behind_curve(problem.values, plant)[0] for plant in problem.plants]
+    found = margins.margins(law, params, margins.prepared(seen)) if law.feedback else None
+    restless = set(limit_cycles.after_all(law, problem, gains, problem.plants, threads).tolist())
+    overshot = np.max(overshoot.answers(law, problem, gains, threads)[0], axis=0)
+    for i, share in enumerate(saturated):
+        values = {
+            "saturation": float(share),
+            "not at rest": float(i in restless),
+            "overshoot": float(overshot[i]),
+        }
+        if found is not None:
+            values |= limits.of_margins(margins.Margins(*(row[i : i + 1] for row in found)))
+        limits.count(counts, wanted, values)
+    return counts
 
 
 def as_dict(v: Verified) -> dict[str, Any]:
