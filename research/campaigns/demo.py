@@ -227,7 +227,7 @@ def offline_twin(run: DemoRun, lead: int, joined: int, held: float) -> tuple[Ind
     """
     values = values_of(run)
     command = np.concatenate([np.full(lead, held), build.commands(values["command_source"])])
-    twin = offline.simulate(values["controller"], values["valve_simulator"], command, noise_start=joined)
+    twin = offline.simulate(values["controller"], values["valve_simulator"], command, False, joined)
     return indices((twin.measurement - twin.command)[lead:], twin.voltage[lead:], twin.period), twin.warning
 
 
