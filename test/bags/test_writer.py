@@ -164,7 +164,7 @@ def test_metadata_of_older_versions(tmp_path, version, lines):
 """
     (tmp_path / metadata.NAME).write_text(text + "\n".join(lines))
     compression = "file" if lines else ""
-    assert metadata.read(tmp_path) == (version, "", compression, 2, ("bag_0.db3",))
+    assert metadata.read(tmp_path) == (version, "", compression, 2, ("bag_0.db3",), {"/x": "other"})
 
 
 @pytest.mark.parametrize("storage", STORAGES)

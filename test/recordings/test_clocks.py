@@ -119,7 +119,7 @@ def test_a_part_of_a_recording_whose_publishers_are_hours_off(tmp_path, hours):
 # Clocks that are set, and gaps
 
 SECOND_POLE, FIRST_POLE = 32.3, 5.89  # Hz
-NAMED = ("leaps",)
+NAMED = ("leaps", "far from all others")
 
 
 def stepped_sine(set_at=None, by=0.0, numbered=True, lost=(), publish=True, seed=1):
@@ -197,3 +197,32 @@ def test_a_clock_that_is_set_is_named_and_loses_nothing(run, tmp_path, by, numbe
         assert timing["lost"] == (0 if numbered else None)
     assert about["bag"]["duration_s"] < 5.0
     assert sum(valve["modes"][name]["duration_s"] for name in ("ok", "safe", "degraded")) < 5.0
+
+
+# Stamps that stand alone
+
+STAMPS = {
+    "zero": 0,
+    "largest": 2**63 - 1,
+    "hours before": BEGIN - 3 * 3600 * 10**9,
+}
+
+
+@pytest.mark.parametrize("place", [0, 700])
+@pytest.mark.parametrize("kinds", [("log_time",), ("log_time", "time")])
+@pytest.mark.parametrize("stamp", STAMPS)
+def test_one_stray_stamp_costs_one_message(run, tmp_path, stamp, place, kinds):
+    """The rest is analysed as if that message were not there; --from counts from the same beginning."""
+    ordered = sorted(run.messages, key=lambda m: m.log_time)
+    at = [i for i, m in enumerate(ordered) if m.topic == "/spool_position"][place]
+    stray = ordered[at]._replace(**dict.fromkeys(kinds, STAMPS[stamp]))
+    in_file_order(tmp_path / "bag", [*ordered[:at], stray, *ordered[at + 1 :]])
+    loaded = load(tmp_path / "bag")
+    (note,) = loaded.problems
+    assert note.startswith("1 of 1500 messages of /spool_position have a stamp far from all others")
+    without = [*ordered[:at], *ordered[at + 1 :]]
+    usual = load(write(tmp_path / "usual", without))
+    found, expected = as_dict(analyze(loaded)), as_dict(analyze(usual))
+    assert found["valves"] == expected["valves"]
+    assert found["bag"]["duration_s"] == expected["bag"]["duration_s"]
+    assert loaded.bag.begin == usual.bag.begin

@@ -7,8 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.control.parameters import build
-from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.laws.signals import Start
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.table import CONTROLLER, VALVE
+from valve_control.control.plant import valve
 from valve_control.control.supervision import rate
 from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
@@ -163,3 +166,30 @@ def test_a_sample_period_that_the_readings_contradict_is_refused():
         "change the period of the readings first"
     )
     assert made.period_refusal(PERIOD) == made.period_refusal(1.05 * PERIOD) == ""
+
+
+@pytest.mark.parametrize("name", ["arc", "oarc", "pid", "pid_plain"])
+def test_shipped_gains_are_stable_within_the_limit(name, config):
+    """Impulse response of the loop at another period than the law's, as a linear loop that must die out."""
+    values = updated(CONTROLLER, defaults(CONTROLLER), files.load(str(config / f"{name}.yaml"))["controller"])
+    law = LAWS[values["controller"]].module
+    params = build.law_params(values)
+    theta = (
+        params.theta_initial[:3] if "theta_initial" in params._fields else (params.a1, params.a0, params.b0)
+    )
+    if "gamma" in params._fields:
+        params = params._replace(gamma=type(params.gamma)(0.0, 0.0, 0.0, 0.0))
+    limit = values["lvdt.period_limit"]
+    for factor in np.linspace(1.0 - limit, 1.0 + limit, 7):
+        for gain in (1.0, 1.25):
+            model = {"valve": "custom", "numerator": [gain * theta[2]], "denominator": [1.0, *theta[:2]]}
+            actual = {"sample_period": float(factor * params.period)}
+            plant = build.valve_params(updated(VALVE, defaults(VALVE), {**model, **actual}))
+            state, spool = law.initial(params, Start(0.0, 0.0, 0.0, 0.0, 0.0)), valve.initial(plant)
+            position = []
+            for k in range(3000):
+                position.append(valve.read(plant, spool, 0.0))
+                voltage, state, _ = law.step(params, state, 1e-3 if k < 10 else 0.0, position[-1], 0.0)
+                spool = valve.step(plant, spool, voltage)
+            largest = np.abs(position)
+            assert max(largest[-500:]) < 1e-3 * max(largest[:500]), (factor, gain)

@@ -13,13 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from valve_control.arrays import Integers
-from valve_control.recordings.bags.bag import Series
+from valve_control.recordings.bags.bag import FAR, Series, stretch
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.table import TableFile
 
 SMALL_DISORDER = 0.1  # s by which messages may be out of order
 BACK = 2.0  # usual intervals by which time goes back, between messages in order, where the clock was set
-FAR = 3600.0  # s between two messages from which on the clock was set
 SAME_CLOCK = 1e-3  # s, or half a period, by which delays to the recorder may differ between topics
 MISSING = 0.02  # of the messages without a source time from which on that counts
 SAME_SPEED = 0.01  # by which the speeds of two clocks may differ
@@ -155,3 +154,26 @@ def _speed(series: Series) -> float:
     log, publish = (time[half:] - time[:-half] for time in (series.log_time, series.publish_time))
     usable = log > 0
     return float(np.median(publish[usable] / log[usable])) if usable.any() else np.nan
+
+
+def without_strays(series: Mapping[str, Series], problems: list[str]) -> dict[str, Series]:
+    """``series`` without messages that were recorded an hour or more away from most, which are named.
+
+    Likewise without those that were sent an hour or more earlier or later than usual before recording.
+    """
+    log = [one.log_time for one in series.values() if len(one.log_time)]
+    first, last = stretch(np.concatenate(log)) if log else (0, 0)
+    found = {}
+    for name, one in series.items():
+        far = (one.log_time < first) | (one.log_time > last)
+        if not far.all():
+            delay = (one.log_time - one.publish_time).astype(np.float64)
+            far |= np.abs(delay - np.median(delay[~far])) > FAR * 1e9
+        count = int(np.count_nonzero(far))
+        if count:
+            problems.append(
+                f"{count} of {len(far)} messages of {name} have a stamp far from all others, by an hour or "
+                "more, and are left out"
+            )
+        found[name] = one.pick(~far) if count else one
+    return found

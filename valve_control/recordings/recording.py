@@ -19,7 +19,7 @@ from valve_control.recordings.bags.bag import Bag, Series
 from valve_control.recordings.bags.cdr import Decoder, deserialized
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import clean, seconds
-from valve_control.recordings.clocks import Clock, decide, of_table
+from valve_control.recordings.clocks import Clock, decide, of_table, without_strays
 from valve_control.recordings.mapping import STATE_TYPE, ValveTopics, find_valves
 from valve_control.recordings.pairing import Samples
 
@@ -141,24 +141,32 @@ def _read(
     Whole messages tell of the nodes, which counts from the bag's beginning.
     """
     fields, states, raw, _ = wanted
-    series = bag.read(fields, raw=raw, sparse=states)
+    start, end = part
+
+    def span(begin: int) -> tuple[int, int | None]:
+        first = begin if start is None else begin + nanoseconds(start, "--from")
+        return first, None if end is None else begin + nanoseconds(end, "--to")
+
+    first, last = span(bag.begin)
+    notes: list[str] = []
+    kept = bag.read(fields, raw, states, None if start is None else first, last)
+    series = without_strays(kept, notes)
     if bag.table is not None:
         clock = of_table(bag.table, clock_name)
     else:
         clock = decide(series, groups, clock_name, bag.path)
-    bag.problems += clock.notes
-    if part == (None, None):
-        return clock.read(series), clock, bag.begin
-    # Where both clocks are alike, a part is one of times of recording.
-    times = {name: one.publish_time if clock.apart else one.log_time for name, one in series.items()}
-    begin = bag.begin
-    if clock.apart:
-        begin = min(int(times[name].min()) for group in groups for name in group if len(times[name]))
-    start, end = part
-    first = begin if start is None else begin + nanoseconds(start, "--from")
-    last = np.inf if end is None else begin + nanoseconds(end, "--to")
-    inside = {name: ((name in raw) | (time >= first)) & (time < last) for name, time in times.items()}
-    return clock.read({name: one.pick(inside[name]) for name, one in series.items()}), clock, first
+    if clock.apart and part != (None, None):
+        # The part that was read is one of times of recording.
+        notes.clear()
+        series = without_strays(bag.read(fields, raw, states), notes)
+        times = {name: one.publish_time for name, one in series.items()}
+        firsts = (int(times[name].min()) for group in groups for name in group if len(times[name]))
+        first, last = span(min(firsts))
+        ends = np.inf if last is None else last
+        inside = {name: ((name in raw) | (time >= first)) & (time < ends) for name, time in times.items()}
+        series = {name: one.pick(inside[name]) for name, one in series.items()}
+    bag.problems += [*notes, *clock.notes]
+    return clock.read(series), clock, first
 
 
 def load(

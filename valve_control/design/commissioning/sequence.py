@@ -285,7 +285,8 @@ class _Commissioning:
         self._ask("the new gains stay; voltage and travel get their limits from before back")
         final = {**self._before, **changes}
         restore(self._bench, final)
-        self._look(voltage=number(final, "u_max"), travel=number(final, "lvdt.limit"), step=LAST)
+        if self._look(voltage=number(final, "u_max"), travel=number(final, "lvdt.limit"), step=LAST):
+            self._at_rest(SPRING)  # with the new gains: what has not ended with the pause ends this
         return final
 
     def _accepted(self, tests: Tests, known: model.Known) -> tuple[TunedGains, Verification, list[str]]:
@@ -522,8 +523,8 @@ class _Commissioning:
             return priority.in_background(work, tell)
         return work(tell)
 
-    def _look(self, step: str = SEARCH, **limits: float) -> None:
-        """Look at what has come while no course is driven; a pause spoils nothing then, and is counted.
+    def _look(self, step: str = SEARCH, **limits: float) -> bool:
+        """Look at what has come while no course is driven; whether there was a pause, which is counted.
 
         ``limits`` [V]: that are others than usual.
         """
@@ -533,6 +534,8 @@ class _Commissioning:
             now = time.monotonic()
             self._pauses[step] += now > self._paused + APART
             self._paused = now
+            return True
+        return False
 
     def _ask(self, text: str) -> None:
         if not self._steps.confirm(text):

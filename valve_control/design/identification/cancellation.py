@@ -17,6 +17,7 @@ WRONG = 0.1  # by which the valve's frequency may be off, for that warning
 LOUD = 20.0  # times the static gain, amplification of the command's noise that is warned of
 FAITHFUL = 0.2  # of the sampling frequency, up to which a bandwidth may go
 NEAR = 0.05  # of the wanted bandwidth, by which -3 dB may miss it
+MOST = 1e30  # largest coefficient of a model over its smallest
 RESPONSE_TIME = 2.0  # s of the step response
 
 
@@ -100,6 +101,9 @@ def check(model: TransferFunction) -> None:
         raise design.DesignError(
             f"the model has {zeros} zeros and {poles} poles; a valve has more poles than zeros"
         )
+    sizes = np.abs([x for part in model for x in part if x])
+    if np.max(sizes) > MOST * np.min(sizes):
+        raise design.DesignError("the model has coefficients of too different sizes for a valve")
 
 
 def _warnings(designed: Compensator, amplitude: float | None) -> list[str]:

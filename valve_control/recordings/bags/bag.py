@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 KINDS = {".mcap": "mcap", ".db3": "sqlite3"}  # storage by suffix
 ZSTD = (".zstd", ".zst")
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+FAR = 3600.0  # s between two stamps of one recording from which on they belong to different stretches of time
 
 
 class Series(NamedTuple):
@@ -61,6 +62,21 @@ class Series(NamedTuple):
         )
 
 
+def edges(time: Integers) -> Floats:
+    """First stamps [ns] of the stretches of ``time``, hours apart, but for the first stretch."""
+    ordered = np.sort(time).astype(np.float64)
+    return np.asarray(ordered[1:][np.diff(ordered) > FAR * 1e9], dtype=np.float64)
+
+
+def stretch(time: Integers) -> tuple[int, int]:
+    """First and last of ``time`` [ns] in that of its stretches, hours apart, with the most messages."""
+    ordered = np.sort(time)
+    starts = np.searchsorted(ordered.astype(np.float64), edges(time))
+    bounds = [0, *starts.tolist(), len(ordered)]
+    longest = len(bounds) - 2 - int(np.argmax(np.diff(bounds)[::-1]))
+    return int(ordered[bounds[longest]]), int(ordered[bounds[longest + 1] - 1])
+
+
 class Bag:
     """An open bag with its topics and files.
 
@@ -76,6 +92,7 @@ class Bag:
         self.version: int | None = None  # of metadata.yaml
         self.distribution = ""
         self._unpacked: tempfile.TemporaryDirectory[str] | None = None
+        self._formats: dict[str, str] = {}  # serialization of topics, where it is another than CDR
         try:
             self._files = self._open()
         except OSError as error:
@@ -84,7 +101,7 @@ class Bag:
             ) from error
         for file in self._files:
             self.problems += file.problems
-            for topic in file.topics:
+            for topic in map(self._as_listed, file.topics):
                 known = self.topics.setdefault(topic.name, topic)
                 if not self._is_known(topic):
                     one, other = (f"{t.type} ({t.encoding})" for t in (known, topic))
@@ -117,11 +134,11 @@ class Bag:
 
     @property
     def begin(self) -> int:
-        """Log time [ns] of the first message, 0 if there are none."""
+        """Log time [ns] of the first message, 0 if there are none; not of one hours from all near it."""
         if self.table is not None:
             return int(self.table.times[0]) if len(self.table.times) else 0
         firsts = filter(None, map(_first_block, self._files))
-        return min((int(block.log_time.min()) for block in firsts), default=0)
+        return min((stretch(block.log_time)[0] for block in firsts), default=0)
 
     @property
     def damaged_chunks(self) -> int:
@@ -147,7 +164,7 @@ class Bag:
         """Yield messages of ``topics`` in blocks, each of one topic."""
         before = 0
         for file in self._files:
-            names = [t.name if self._is_known(t) else "" for t in file.topics]
+            names = [t.name if self._is_known(self._as_listed(t)) else "" for t in file.topics]
             wanted = [i for i, name in enumerate(names) if name in topics]
             if isinstance(file, TableFile):
                 file.wanted = wanted
@@ -166,7 +183,7 @@ class Bag:
     def in_file_order(self) -> Iterator[tuple[str, int, int, int, bytes]]:
         """Yield topic, log time [ns], publish time [ns], number and content of all messages."""
         for file in self._files:
-            names = [t.name if self._is_known(t) else "" for t in file.topics]
+            names = [t.name if self._is_known(self._as_listed(t)) else "" for t in file.topics]
             for block in file.blocks():
                 part = self._decompressed(block) if self.compression == "message" else block
                 columns = zip(*(column.tolist() for column in part[1:5]), part.contents(), strict=True)
@@ -179,18 +196,24 @@ class Bag:
         fields: Mapping[str, Sequence[str]],
         raw: Collection[str] = (),
         sparse: Collection[str] = (),
+        start: int | None = None,
+        end: int | None = None,
     ) -> dict[str, Series]:
         """Read numeric ``fields`` of topics, and whole messages of the topics in ``raw``.
 
-        Of topics in ``sparse`` fields that a message does not have are NaN. Raises BagError if there is no
-        such topic, or its type is unknown.
+        ``start``, ``end`` [ns]: log times of what is kept; whole messages count from the bag's beginning. Of
+        topics in ``sparse`` fields that a message does not have are NaN. Raises BagError if there is no such
+        topic, or its type is unknown.
         """
         collected = {
             name: _Collector(self.topic(name), fields.get(name, ()), name in raw, name in sparse)
             for name in {*fields, *raw}
         }
+        last = np.inf if end is None else end
         for name, block in self.blocks(collected):
-            collected[name].take(block)
+            since = -np.inf if start is None or name in raw else start
+            inside = (block.log_time >= since) & (block.log_time < last)
+            collected[name].take(block if inside.all() else block.select(np.flatnonzero(inside)))
         return {name: collector.series() for name, collector in collected.items()}
 
     def topic(self, name: str) -> Topic:
@@ -263,7 +286,7 @@ class Bag:
                 "are known"
             )
         self.version, self.distribution = listing.version, listing.distribution
-        self.compression = listing.compression
+        self.compression, self._formats = listing.compression, listing.formats
         paths = [self.path / name for name in listing.files]
         for path in paths:
             if not path.exists():
@@ -287,6 +310,10 @@ class Bag:
             self._complain(
                 f"messages of {self.path} are compressed with zstd, though no metadata.yaml says so"
             )
+
+    def _as_listed(self, topic: Topic) -> Topic:
+        """``topic`` with the serialization that metadata.yaml names, if that is another than CDR."""
+        return topic._replace(encoding=self._formats.get(topic.name, topic.encoding))
 
     def _is_known(self, topic: Topic) -> bool:
         known = self.topics[topic.name]

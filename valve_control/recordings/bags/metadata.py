@@ -12,7 +12,7 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from valve_control import inputs, outputs
 from valve_control.recordings.bags.errors import BagError, refuse_pointer
-from valve_control.recordings.bags.messages import Topic
+from valve_control.recordings.bags.messages import CDR, Topic, absolute
 
 NAME = "metadata.yaml"
 VERSION = 9
@@ -30,6 +30,7 @@ class Listing(NamedTuple):
     compression: str  # file, message or ""
     message_count: int
     files: tuple[str, ...]
+    formats: dict[str, str]  # serialization by topic, where it is another than CDR
 
 
 # Writing
@@ -113,6 +114,7 @@ def read(folder: Path) -> Listing:
         refuse_pointer(path)
         bag = inputs.from_yaml(path.read_text(encoding="utf-8"))[ROOT]
         version = int(bag["version"])
+        topics = [entry["topic_metadata"] for entry in bag["topics_with_message_count"]]
         mode = str(bag.get("compression_mode", "")).lower()
         listing = Listing(
             version=version,
@@ -121,6 +123,11 @@ def read(folder: Path) -> Listing:
             message_count=int(bag["message_count"]),
             # Before version 4 the paths began with the bag's own folder.
             files=tuple(dict.fromkeys(PurePath(str(name)).name for name in bag["relative_file_paths"])),
+            formats={
+                absolute(topic["name"]): topic["serialization_format"]
+                for topic in topics
+                if topic["serialization_format"] != CDR
+            },
         )
     except OSError as error:
         raise BagError(f"{path} cannot be read: {error.strerror or error}") from error
