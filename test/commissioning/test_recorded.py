@@ -11,7 +11,7 @@ import pytest
 from said import sentences
 
 from benchmarks.supervised import SupervisedValve
-from valve_control.control.parameters import files
+from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.simulation.robustness import BOX
 from valve_control.design.commissioning import recorded
@@ -176,6 +176,9 @@ def test_tune_from_a_bag(run, tmp_path, moved):
     )
     assert status == 0, err
     assert json.loads(out)["recording"]["valve"]["gain"]["value"] == pytest.approx(1.15, rel=0.03)
-    assert files.load("t.yaml")["controller"]["controller"] == "pid"
+    tuned = files.load("t.yaml")  # what-if with this file alone simulates the valve of the bag
+    assert tuned["controller"]["controller"] == "pid"
+    model = build.valve_model(updated(VALVE, defaults(VALVE), tuned["valve_simulator"]))
+    assert model.static_gain == pytest.approx(1.15 * build.valve_model(defaults(VALVE)).static_gain, rel=0.03)
     status, out, err = run("tune", "--bag", "operation", "--scenario", "sine", "--json", "-")
     assert status == 2 and "takes no --scenario" in err and len(sentences(err)) == 1

@@ -26,7 +26,7 @@ from valve_control.cli.common import (
 )
 from valve_control.cli.simulate import delivery_of, delivery_options, settings_of, setup_options
 from valve_control.cli.study import box_of
-from valve_control.parameter import ParameterError, Values, word
+from valve_control.parameter import ParameterError, Values, defaults, word
 
 if TYPE_CHECKING:
     from valve_control.control.laws.law import Law
@@ -146,8 +146,9 @@ def _tune(arguments: argparse.Namespace) -> int:
         from valve_control.design import recorded_tuning
 
         result["recording"] = recorded_tuning.as_dict(recorded)
+    valve = recorded.fitted.values if recorded is not None else {}
     for name, path in files.items():
-        _save(arguments, path, task.seen.values, outcome.tuned[name])
+        _save(arguments, path, task.seen.values, outcome.tuned[name], valve)
     _tell(arguments, outcome)
     write_json(arguments, result)
     accepted = [name for name, one in outcome.tuned.items() if one.chosen.holds]
@@ -285,8 +286,10 @@ def _paths(output: str | None, laws: "Sequence[Law]") -> dict[str, str]:
     return {law.name: str(path.with_name(f"{path.stem}_{law.name}{path.suffix}")) for law in laws}
 
 
-def _save(arguments: argparse.Namespace, path: str, values: Values, one: "Tuned") -> None:
+def _save(arguments: argparse.Namespace, path: str, values: Values, one: "Tuned", valve: Values) -> None:
+    """Write the gains, and what differs from the defaults in the fitted ``valve``; {}: none is fitted."""
     from valve_control.control.parameters import ros_file
+    from valve_control.control.parameters.table import VALVE
     from valve_control.design.tuning import tuner, verification
 
     reached = verification.as_dict(one.chosen.verified)
@@ -297,7 +300,10 @@ def _save(arguments: argparse.Namespace, path: str, values: Values, one: "Tuned"
         f"c_u {reached['c_u']:.3f}.",
     ]
     chosen = tuner.parameters_of(one.law, values, one.chosen)
-    outputs.write(path, ros_file.as_yaml({"/**/controller": chosen}, about))
+    usual = defaults(VALVE)
+    others = {name: value for name, value in valve.items() if value != usual[name]}
+    sections = {"/**/controller": chosen, **({"/**/valve_simulator": others} if others else {})}
+    outputs.write(path, ros_file.as_yaml(sections, about))
     wrote(arguments, path)
 
 
