@@ -253,7 +253,7 @@ def _beside_twin(run: DemoRun, measured: Measured) -> dict[str, Any]:
     law = values_of(run)["controller"]
     saturated = float(np.mean(np.abs(measured.voltage) >= float(str(law["u_max"]))))
     least = float(str(law["oscillation_limit"]))
-    cycle = limit_cycle.limit_cycle(measured.voltage, measured.command, measured.period, least)
+    cycle = limit_cycle.limit_cycle(measured.voltage, measured.command, measured.period, least, False)
     worst = max(abs(a / b - 1.0) for a, b in zip(over_dds, twin, strict=True) if b != 0.0)
     print(index_row(run.name, over_dds))
     print(index_row("  offline", twin))
