@@ -9,6 +9,8 @@ import sys
 import numpy as np
 import pytest
 
+from valve_control.control import compiling
+
 
 def test_contract_of_simulate_as_a_process(config):
     words = [
@@ -74,3 +76,12 @@ def test_overshoot_of_steps_is_told_and_braking_in_time_takes_it_away(run, confi
     )  # fmt: skip
     assert done.status == 0, done.err
     assert low < json.loads(done.out)["steps"]["overshoot"] < high
+
+
+def test_without_numba_a_run_has_the_same_bits(run, monkeypatch):
+    """`make demo` installs none."""
+    words = ["simulate", "--controller", "dcarc", "--valve", "solenoid", "--duration", "0.5", "--json", "-"]
+    compiled = json.loads(run(*words).out)
+    monkeypatch.setattr(compiling.importlib.util, "find_spec", lambda name: None)
+    plain = run(*words)
+    assert plain.status == 0 and json.loads(plain.out) == compiled

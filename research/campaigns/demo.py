@@ -227,7 +227,7 @@ def offline_twin(run: DemoRun, lead: int, joined: int, held: float) -> tuple[Ind
     """
     values = values_of(run)
     command = np.concatenate([np.full(lead, held), build.commands(values["command_source"])])
-    twin = offline.simulate(values["controller"], values["valve_simulator"], command, False, joined)
+    twin = offline.simulate(values["controller"], values["valve_simulator"], command, noise_start=joined)
     return indices((twin.measurement - twin.command)[lead:], twin.voltage[lead:], twin.period), twin.warning
 
 
@@ -253,7 +253,7 @@ def _beside_twin(run: DemoRun, measured: Measured) -> dict[str, Any]:
     law = values_of(run)["controller"]
     saturated = float(np.mean(np.abs(measured.voltage) >= float(str(law["u_max"]))))
     least = float(str(law["oscillation_limit"]))
-    cycle = limit_cycle.limit_cycle(measured.voltage, measured.command, measured.period, least, False)
+    cycle = limit_cycle.limit_cycle(measured.voltage, measured.command, measured.period, least)
     worst = max(abs(a / b - 1.0) for a, b in zip(over_dds, twin, strict=True) if b != 0.0)
     print(index_row(run.name, over_dds))
     print(index_row("  offline", twin))

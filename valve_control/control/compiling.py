@@ -11,6 +11,7 @@ import contextlib
 import dis
 import functools
 import hashlib
+import importlib.util
 import os
 import re
 import tempfile
@@ -100,10 +101,15 @@ def compile_function(
 ) -> Callable[..., Any]:
     """Compiled twin of ``function``; globals named in ``replace`` are taken from there.
 
-    ``nogil``: other Python threads run while it does. What is compiled already is given back.
+    ``nogil``: other Python threads run while it does. What is compiled already is given back. Without numba
+    it is the plain function, whose results have the same bits.
     """
     if not isinstance(function, types.FunctionType):
         return function
+    if importlib.util.find_spec("numba") is None:
+        return types.FunctionType(
+            function.__code__, {**function.__globals__, **(replace or {})}, function.__name__
+        )
     return _compile(function, tuple(sorted((replace or {}).items(), key=lambda item: item[0])), nogil, False)
 
 
