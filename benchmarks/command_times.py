@@ -6,7 +6,7 @@ The gains of config/tuned on their valves, or (--commissioned) those that commis
 valves, under strokes of 40 V/s, sines, and steps. The commands come at 1000, 500, 200 and 100 Hz, by clocks
 that drift, with jitter, with late messages and with pauses. Each figure is the ratio to the same motion with
 commands in time at the same rate: true rms error, c_u and largest voltage. Prints a table of
-docs/howto/cascade.md as Markdown.
+docs/explanation/command_course.md as Markdown.
 
 With --dds the tuned gains run over DDS: controller, simulator and command source are processes with timers of
 their own. Each figure is the ratio to the offline run with commands in time, with the error of the readings.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""The table of docs/howto/cascade.md: an upper level with a clock of its own, beside commands in time."""
+"""The table of docs/explanation/command_course.md: an upper level with a clock of its own."""
 
 import numpy as np
 import pytest

@@ -27,7 +27,6 @@ from valve_control.export.sources import Sources
 from valve_control.export.unit import Unit, leaves
 from valve_control.parameter import ParameterError
 
-VERSIONS = (2, 3)
 UNITS = (
     "V",
     "V²",

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tells friction level and presliding of a valve from a slow triangle of its voltage.
 
-The derivation is in docs/howto/identify.md. Sliding steadily, the spool is where u = x/G + o ± (F + τ·v/G)
-puts it, with its static gain G, offset o, Coulomb friction F and the lag τ of the valve. Behind each turn the
-bristles turn round: the friction follows the spool's way Δx as F·(1 - c·exp(-Δx/δ)), with the presliding δ.
+The derivation is in docs/explanation/identification.md. Sliding steadily, the spool is where
+u = x/G + o ± (F + τ·v/G) puts it, with its static gain G, offset o, Coulomb friction F and the lag τ of the
+valve. Behind each turn the bristles turn round: the friction follows the spool's way Δx as
+F·(1 - c·exp(-Δx/δ)), with the presliding δ.
 """
 
 import math
