@@ -198,23 +198,13 @@ def controller(tmp_path, *arguments):
         yield child
 
 
-HELD_UP = 3  # standstills of 0.1 s of the simulator, which no test asks for
-
-
-class HeldUpError(AssertionError):
-    """A run failed while the machine did not let the simulator keep 1 kHz: it shows nothing of the nodes."""
-
-
 def beside():
     """The environment of processes in another domain than this test's own."""
     return {**os.environ, "ROS_DOMAIN_ID": str(domains.BESIDE)}
 
 
 def run_tool(tool, folder, *arguments, timeout=900):
-    """Run `demo`, `faults` or `lockstep` as a user does, in a domain of its own; what it wrote.
-
-    Raises HeldUpError if it failed and the simulator says that it could not keep pace.
-    """
+    """Run `demo`, `faults` or `lockstep` as a user does, in a domain of its own; what it wrote."""
     done = subprocess.run(
         [sys.executable, "-m", PROGRAMS[tool], "--out", str(folder), *arguments],
         capture_output=True,
@@ -223,9 +213,5 @@ def run_tool(tool, folder, *arguments, timeout=900):
         env=beside(),
         check=False,
     )
-    if done.returncode:
-        logs = sorted(folder.glob("*valve_simulator.log"), key=lambda log: log.stat().st_mtime)
-        stood = logs[-1].read_text().count("samples skipped") if logs else 0  # of the run that failed alone
-        words = done.stdout + done.stderr
-        raise HeldUpError(f"{stood} standstills; {words}") if stood >= HELD_UP else AssertionError(words)
+    assert done.returncode == 0, done.stdout + done.stderr
     return json.loads((folder / f"{tool}.json").read_text())
