@@ -45,6 +45,7 @@ AGAIN = 1.5  # s  after which it is asked again: a server that does not know the
 SILENT = 1.0  # s  without a reading, or without a voltage, from which on something is broken
 LOOK = 0.01  # s  most between two looks at what has come
 LAST_WORD = 0.2  # s  in which the last messages arrive
+LATE_VOLTAGE, LATE_COMMAND = 3.0, 6.0  # periods after which one is older than the loop is made for
 SIMULATOR = "valve_simulator"  # gives a voltage the whole period of its reading, however late it comes
 Sample = tuple[int, int, float]  # number, time of sending [ns], V
 
@@ -340,14 +341,14 @@ def _paired(
     answered = np.array([stamp - first for _, stamp, _ in voltages]) * 1e-9
     volts = np.array([value for _, _, value in voltages])
     latency = timing.latencies(sent, answered)
-    late = np.zeros(len(index), dtype=np.bool_)
+    delayed = np.zeros(len(index), dtype=np.bool_)
     if not waits:
-        index, late = timing.placed(sent, index, period)
+        index, delayed = timing.placed(sent, index, period)
     count = int(index[-1]) + 1
     reading = np.full(count, np.nan)
     reading[index] = [value for _, _, value in readings]
-    reading[index[late]] = np.nan
-    known, at = index[~late], sent[~late]  # and beyond them by the period
+    reading[index[delayed]] = np.nan
+    known, at = index[~delayed], sent[~delayed]  # and beyond them by the period
     known, at = np.append(known, count), np.append(at, at[-1] + (count - known[-1]) * period)
     known, at = np.append(-1, known), np.append(at[0] - (known[0] + 1) * period, at)
     edges = np.interp(np.arange(count + 1), known, at)
@@ -358,7 +359,14 @@ def _paired(
     ordered = np.array([stamp - first for stamp, _ in commands]) * 1e-9
     wanted = np.array([value for _, value in commands])
     last = np.maximum(np.searchsorted(ordered, edges[:-1], side="right") - 1, 0)
-    return Record(period, reading, voltage, wanted[last], latency=latency)
+    late = np.zeros(count, dtype=np.bool_)
+    if not waits:
+        voltage_age, command_age = (
+            edges[1:] - sent_at[np.maximum(np.searchsorted(sent_at, edges[1:], side="right") - 1, 0)]
+            for sent_at in (answered, ordered)
+        )
+        late = (voltage_age > LATE_VOLTAGE * period) | (command_age > LATE_COMMAND * period)
+    return Record(period, reading, voltage, wanted[last], latency=latency, late=late)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from valve_control.arrays import Floats
 from valve_control.parameter import Value, Values
@@ -49,13 +50,14 @@ class Record(NamedTuple):
     command: Floats  # V  in force when the voltage was given
     begins: tuple[int, ...] = (0,)  # samples at which a part begins, with a spool at rest
     latency: Floats = np.empty(0)  # s  from each reading that was answered to its voltage
+    late: npt.NDArray[np.bool_] = np.empty(0, dtype=np.bool_)  # voltage or command is old; empty: nowhere
 
     def part(self, first: int, end: int) -> "Record":
         """Samples ``first`` to before ``end``, as one part."""
-        reading, voltage, command = (
-            signal[first:end] for signal in (self.reading, self.voltage, self.command)
+        reading, voltage, command, late = (
+            signal[first:end] for signal in (self.reading, self.voltage, self.command, self.late)
         )
-        return Record(self.period, reading, voltage, command, latency=self.latency)
+        return Record(self.period, reading, voltage, command, latency=self.latency, late=late)
 
     def parts(self) -> "list[Record]":
         """Each part."""
@@ -71,11 +73,11 @@ def joined(parts: Sequence[Record]) -> Record:
     for part in parts:
         begins += [count + begin for begin in part.begins]
         count += len(part.reading)
-    reading, voltage, command, latency = (
+    reading, voltage, command, latency, late = (
         np.concatenate([getattr(part, name) for part in parts])
-        for name in ("reading", "voltage", "command", "latency")
+        for name in ("reading", "voltage", "command", "latency", "late")
     )
-    return Record(parts[0].period, reading, voltage, command, tuple(begins), latency)
+    return Record(parts[0].period, reading, voltage, command, tuple(begins), latency, late)
 
 
 class Diagnosis(NamedTuple):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices, indices
@@ -36,6 +37,7 @@ TOO_LOUD = 1.3  # likewise, above which quieter gains are taken whatever their e
 HOME = 1.0  # s  before the approach of a verification run
 PAUSE = 0.3  # s  after each motion of the verification run
 REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
+RECOVERY = 0.2  # s  after a late voltage or command, in which a run shows the machine and not the gains
 SATURATED = 0.5  # share of samples at the limit of the voltage, from which on a simulated loop is unstable
 VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
 
@@ -212,10 +214,13 @@ class _Simulated(NamedTuple):
     bounded: bool  # whether it stays finite, and below the limit of the voltage most of the time
 
 
-def _simulated(values: Values, valve: Values, motion: VerifyingMotion) -> _Simulated:
+def _simulated(
+    values: Values, valve: Values, motion: VerifyingMotion, steady: npt.NDArray[np.bool_] | None = None
+) -> _Simulated:
     """Run of a controller with ``values`` on the ``valve``, from a spool at rest in the centre.
 
-    The motion [V] comes as points of a trajectory, as on the running valve.
+    The motion [V] comes as points of a trajectory, as on the running valve. ``steady``: samples of the judged
+    part that count, all if None.
     """
     wanted, judged = motion.wanted, motion.judged
     follow = watch.places_of(LAWS[word(values, "controller")], 0.0)["law_commanded"]
@@ -225,7 +230,8 @@ def _simulated(values: Values, valve: Values, motion: VerifyingMotion) -> _Simul
     as_points = updated(CONTROLLER, values, {"reshaping.lead": 0.0, "command_limit": 100.0})
     with np.errstate(over="ignore", invalid="ignore"):
         run = offline.simulate(as_points, valve, command)
-        reached = indices((run.measurement - wanted)[judged:], run.voltage[judged:], run.period)
+        kept = None if steady is None else np.resize(steady, len(wanted) - judged)
+        reached = indices((run.measurement - wanted)[judged:], run.voltage[judged:], run.period, kept)
     bounded = np.all(np.isfinite(run.measurement)) and np.mean(run.at_limit[judged:]) < SATURATED
     return _Simulated(reached, bool(bounded))
 
@@ -241,11 +247,11 @@ def judged(
 ) -> Verification:
     """Judge the ``record`` of a verification run, its judged part, by the simulation of its ``motion``.
 
-    Raises ParameterError.
+    Samples that are not ``steady`` count in neither. Raises ParameterError.
     """
-    measured = _indices(record)
-    expected = _simulated(_limited(plan, before, candidate.changes), candidate.valve, motion).indices
-    former = _simulated(_limited(plan, before, {}), candidate.valve, motion)
+    measured, kept = _indices(record), steady(record)
+    expected = _simulated(_limited(plan, before, candidate.changes), candidate.valve, motion, kept).indices
+    former = _simulated(_limited(plan, before, {}), candidate.valve, motion, kept)
     reasons = []
     if not measured.e_rms <= WORSE * expected.e_rms + SLACK:
         reasons.append(
@@ -272,6 +278,18 @@ def judged_part(motion: VerifyingMotion, whole: Record, end: int) -> Record:
             "the sensor and its clock"
         )
     return part
+
+
+def steady(record: Record) -> npt.NDArray[np.bool_]:
+    """Samples of ``record`` with neither a late voltage nor a late command, and not shortly after one.
+
+    A loop with gains for a fast valve makes a kick after each, which shows the machine and not the gains.
+    """
+    disturbed = np.zeros(len(record.reading), dtype=np.bool_)
+    length = round(RECOVERY / record.period)
+    for at in np.flatnonzero(record.late):
+        disturbed[at : at + length] = True
+    return ~disturbed
 
 
 def contends(plan: Plan, verified: Verification, doubted: bool = False) -> bool:
@@ -343,6 +361,7 @@ def against(plan: Plan, verified: Verification, record: Record) -> Verification:
 def _indices(record: Record) -> Indices:
     known = np.isfinite(record.reading) & np.isfinite(record.voltage) & np.isfinite(record.command)
     known[list(record.begins[1:])] = False  # which follow no sample of the part before
+    known &= steady(record)
     return indices(
         np.where(known, record.reading - record.command, 0.0),
         np.where(known, record.voltage, 0.0),

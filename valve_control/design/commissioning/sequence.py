@@ -39,6 +39,7 @@ TURNS = 4  # of the triangle
 BOXES = (1.0, 2.0)
 DOUBTED = (2.0, 3.0)  # likewise, where the model does not explain the readings
 AGAIN = 3  # times that a stretch which a pause has spoiled is repeated
+MOST_LATE = 0.7  # share of a verification run that late messages may reach
 RESTS = 10  # times that a rest is tried, which is no test
 APART = 1.0  # s  between two reports of a pause, below which they are about the same one
 # Of both verification runs: limits, and that each command counts as it comes.
@@ -433,7 +434,7 @@ class _Commissioning:
         return gains.against(self._plan, verified, record)
 
     def _moved(self, name: str, motion: VerifyingMotion) -> Record:
-        """Record of the judged part of ``motion``."""
+        """Record of the judged part of ``motion``, most of it without late messages. Raises Fault."""
 
         def course(first: int, mark: Mark) -> Course:
             rest = motion.since(first)
@@ -441,11 +442,20 @@ class _Commissioning:
                 rest.wanted, self._period, rest.stretches[1:], lambda number, at: mark(first + number, at)
             )
 
-        return self._drive(
-            name,
-            course,
-            len(motion.wanted) * self._period,
-            lambda record, first, end: gains.judged_part(motion.since(first), record, end),
+        for _ in range(AGAIN):
+            record = self._drive(
+                name,
+                course,
+                len(motion.wanted) * self._period,
+                lambda record, first, end: gains.judged_part(motion.since(first), record, end),
+            )
+            late = 1.0 - float(np.mean(gains.steady(record)))
+            if late <= MOST_LATE:
+                return record
+            self._pauses[name] += 1
+        raise Fault(
+            f"late messages reach {late:.0%} of the {name} run, {AGAIN} times: it shows the machine and not "
+            "the gains; give controller and driver real-time priority (chrt -f 10), or this host less to do"
         )
 
     def _test(self, name: str, course: Courses, length: float, text: str = "") -> Record:
