@@ -12,7 +12,7 @@ from valve_control.control.analysis.indices import Indices
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.commissioning import gains, plant, sequence
-from valve_control.design.commissioning.bench import Record, SafetyLimits, Swings
+from valve_control.design.commissioning.bench import Record, SafetyLimits, Swings, joined
 from valve_control.design.commissioning.plan import Plan, limiting
 from valve_control.design.commissioning.statics import Friction, Rest
 from valve_control.design.tuning.trial import TuningMotion
@@ -49,6 +49,18 @@ def test_gains_from_before_that_are_better_in_both_are_tried_and_win():
     assert loud > gains.WORSE * PLAN.chatter
     assert gains.against(PLAN, verification((0.01, 0.4), (0.03, 1.1 * loud)), record).reasons
     assert not gains.against(PLAN, verification((0.01, 0.4), (0.03, 0.9 * loud)), record).reasons
+
+
+def test_a_kick_after_a_late_voltage_is_the_machine_and_any_other_the_gains():
+    noise = np.random.default_rng(2).standard_normal(len(WANTED))
+    quiet = Record(PERIOD, WANTED + 1e-3 * noise, WANTED, WANTED, late=np.arange(len(WANTED)) == 700)
+    kicked = quiet.reading.copy()
+    kicked[710:850] += 0.3
+    usual = gains._indices(quiet)
+    assert gains._indices(quiet._replace(reading=kicked)) == usual
+    assert gains._indices(quiet._replace(reading=np.roll(kicked, 300))).e_rms > 20.0 * usual.e_rms
+    whole = joined([quiet.part(0, 600), quiet.part(600, len(WANTED))])
+    assert np.array_equal(gains.steady(whole), gains.steady(quiet)) and np.mean(~gains.steady(quiet)) == 0.1
 
 
 @pytest.mark.parametrize(("before", "stable"), [({}, False), ({"controller": "open_loop"}, True)])

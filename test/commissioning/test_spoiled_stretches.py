@@ -144,6 +144,25 @@ def test_a_motion_that_a_pause_spoils_is_repeated_behind_another_approach():
         assert gains._indices(record).e_rms < 0.03
 
 
+def test_a_verification_run_of_late_messages_is_repeated_and_ends_with_the_reason(monkeypatch):
+    """A machine that is late all the time is named, and no gains are blamed."""
+    valve = Pausing()
+    valve.apply({"u_max": LIMITS.voltage})
+    run = sequence._Commissioning(valve, PLAN, valve.values(), Steps())
+    run._at_rest(1.0)
+    drive = valve.drive
+
+    def late(*about):
+        record = drive(*about)
+        return record._replace(late=np.arange(len(record.reading)) % 200 == 0)
+
+    monkeypatch.setattr(valve, "drive", late)
+    motion = gains.VerifyingMotion(np.zeros(500), 100, (100,))
+    with pytest.raises(Fault, match=r"late messages reach .*, 3 times: .*chrt -f 10"):
+        run._moved("verification", motion)
+    assert run._pauses == {"verification": 3}
+
+
 class Ends(Steps):
     def tested(self, name, record):
         super().tested(name, record)
