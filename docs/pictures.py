@@ -4,7 +4,7 @@
 
 Without a name it makes all of them. Each function below is one picture. It runs
 the commands of its page in a temporary folder and draws their results, or takes a picture of their report in
-Chromium. The pictures that other commands make are demo.png (``make demo``), axes.png (``make axis``),
+Chromium. The pictures that other commands make are axes.png (``make axis``),
 compare_tuned.png (``make tuned``) and dashboard_*.png (the page itself).
 """
 
@@ -230,39 +230,9 @@ def live_change(path: Path) -> None:
 
 
 @picture
-def strokes(path: Path) -> None:
-    """Fast strokes on one valve: uncontrolled, and under a PID and dcarc with their shipped gains."""
-    valve = ["--params-file", "config/d3fxe_experiment.yaml", "--command", "config/commands/fast_strokes.csv"]
-    runs = {"uncontrolled": simulated("open_loop", "--controller", "open_loop", *valve)}
-    for law, label in (("pid", "tuned PID"), ("dcarc", "dcarc")):
-        gains = ["--params-file", f"config/tuned/d3fxe_experiment_{law}.yaml"]
-        runs[label] = simulated(law, *valve[:2], *gains, *valve[2:])
-    draw_strokes(runs, path)
-
-
-def draw_strokes(runs: dict[str, dict[str, Any]], path: Path) -> None:
-    """Command and spool above, error below, with the rms errors of the whole run."""
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(9.0, 5.6), sharex=True, height_ratios=(3, 2))
-    colours = dict(zip(runs, ("0.55", COLOURS[1], COLOURS[0]), strict=True))
-    for label, run_ in runs.items():
-        error = run_["position"] - run_["command"]
-        shown = (run_["time"] > 1.0) & (run_["time"] < 2.0)
-        rms = 1000.0 * float(np.sqrt(np.mean(error**2)))
-        line = {"color": colours[label], "lw": 1.6}
-        top.plot(
-            run_["time"][shown], run_["position"][shown], label=f"{label}: {rms:.0f} mV rms error", **line
-        )
-        bottom.plot(run_["time"][shown], error[shown], **line)
-    command = runs["uncontrolled"]
-    top.plot(command["time"][shown], command["command"][shown], "k--", lw=1.2, label="command")
-    top.set(ylabel="spool [V]", title="A slow valve with friction follows strokes of 40 V/s")
-    bottom.set(ylabel="error [V]", xlabel="time [s]")
-    figure.legend(
-        *top.get_legend_handles_labels(), loc="lower center", ncols=4, frameon=False, fontsize="small"
-    )
-    figure.tight_layout(rect=(0.0, 0.05, 1.0, 1.0))
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
+def demo(path: Path) -> None:
+    """The run of the README: one valve without control, under the best PID, and under dcarc."""
+    valve_control("demo", "--figure", str(path))
 
 
 @picture

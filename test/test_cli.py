@@ -85,3 +85,14 @@ def test_without_numba_a_run_has_the_same_bits(run, monkeypatch):
     monkeypatch.setattr(compiling.importlib.util, "find_spec", lambda name: None)
     plain = run(*words)
     assert plain.status == 0 and json.loads(plain.out) == compiled
+
+
+def test_the_demo_shows_one_valve_under_five_laws(run, tmp_path):
+    """Uncontrolled it stops half way; dcarc has less than half of the error of the best PID."""
+    done = run("demo", "--figure", "picture.png")
+    assert done.status == 0 and (tmp_path / "picture.png").stat().st_size > 30_000
+    errors = {row[:14].strip(): float(row[14:32]) for row in done.out.splitlines()[1:6]}
+    assert list(errors) == ["uncontrolled", "best PID", "ARC", "OARC", "dcarc"]
+    assert errors["uncontrolled"] > 30.0 and 2.0 * errors["dcarc"] < errors["best PID"] < 4.0
+    refused = run("demo", "--figure", "no_folder/picture.png")
+    assert refused.status == 2 and "no_folder" in refused.err and not refused.out

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The package as colcon, ROS and pip see it, and the files that must agree with the table."""
 
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -76,3 +78,28 @@ def test_a_controller_imports_what_it_needs():
     others = {f"control.{room}" for room in ("axis", "motion", "simulation", "analysis")}
     assert not rooms & (others | {"recordings", "design", "dashboard", "export", "cli"})
     assert sum(lines.values()) <= MOST
+
+
+@pytest.mark.campaign
+def test_an_installed_wheel_runs_the_demo(tmp_path):
+    """`pip install` of the wheel, away from the checkout and without ROS."""
+    source, target = tmp_path / "source", tmp_path / "target"
+    for name in ("valve_control", "config", "launch", "resource"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("setup.py", "setup.cfg", "package.xml", "README.md"):
+        shutil.copy(ROOT / name, source)
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
+    subprocess.run([*pip, "wheel", "--no-deps", "--no-build-isolation", "-w", tmp_path, source], check=True)
+    subprocess.run([*pip, "install", "--no-deps", "--target", target, *tmp_path.glob("*.whl")], check=True)
+    script = "import sys, valve_control, valve_control.cli as c; print(valve_control.__file__); sys.exit(c.main(['demo']))"
+    environment = {**os.environ, "PYTHONPATH": str(target)}
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.startswith(str(target)) and "dcarc" in done.stdout
+    assert (tmp_path / "demo.png").exists()

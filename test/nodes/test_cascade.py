@@ -67,7 +67,7 @@ def test_demo_over_dds_equals_offline(tmp_path):
     """
     off = []
     for _ in range(5):
-        (entry,) = run_tool("demo", tmp_path, "--only", "oarc", timeout=120)
+        (entry,) = run_tool("demo", tmp_path, "--only", "paper_oarc", timeout=120)
         off.append(
             {i: abs(entry["indices"][i] / entry["offline"][i] - 1.0) for i in ("e_rms", "u_rms", "c_u")}
         )
@@ -75,7 +75,7 @@ def test_demo_over_dds_equals_offline(tmp_path):
             break
     else:
         pytest.fail(f"no run was that of the offline simulation: {off}")
-    assert (tmp_path / "demo.png").exists()
+    assert (tmp_path / "demo_paper.png").exists()
 
 
 def test_what_follows_a_pause_is_left_out_for_run_and_twin_alike():

@@ -91,7 +91,7 @@ def draw_traces(
     ``own_commands``: the runs need not have one command. Raises OSError if ``path`` cannot be written.
     """
     columns = {name: _trace_plots(traces, own_commands) for name, traces in groups.items()}
-    _draw([path], columns, "time [s]", title, bands)
+    draw_columns([path], columns, "time [s]", title, bands)
 
 
 def draw_plots(
@@ -101,10 +101,10 @@ def draw_plots(
 
     Raises OSError if a path cannot be written.
     """
-    _draw(paths, {"": plots}, x_title, title, logarithmic_x=logarithmic_x)
+    draw_columns(paths, {"": plots}, x_title, title, logarithmic_x=logarithmic_x)
 
 
-def _draw(
+def draw_columns(
     paths: Sequence[Path],
     columns: Mapping[str, Sequence[Plot]],
     x_title: str,
@@ -112,6 +112,10 @@ def _draw(
     bands: Sequence[Band] = (),
     logarithmic_x: bool = False,
 ) -> None:
+    """Draw a column of plots for each name, into each of ``paths``; a column has one horizontal axis.
+
+    Raises OSError if a path cannot be written.
+    """
     rows = max(len(plots) for plots in columns.values())
     figure, axes = _subplots(rows, len(columns), 1.2 + 2.4 * rows)
     for column, (name, plots) in zip(axes.T, columns.items(), strict=True):
@@ -125,7 +129,8 @@ def _draw(
             axis.set_xscale("log" if logarithmic_x else "linear")
             labels = {line.label for line in plot.lines}
             if len(plot.lines) > 1 and not labels <= told:
-                axis.legend(fontsize="small", ncols=2)
+                above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
+                axis.legend(fontsize="small", ncols=2 if len(labels) < 7 else 4, borderaxespad=0.1, **above)
                 told |= labels
         for band in bands:
             for axis in column if band.plot is None else [column[band.plot]]:
@@ -133,7 +138,7 @@ def _draw(
                 axis.axvspan(
                     band.start, band.end, band.low, band.high, color=band.colour, alpha=band.opacity, lw=0.5
                 )
-        column[0].set_title(name)
+        column[0].set_title(name, loc="left")
         column[-1].set_xlabel(x_title)
     figure.suptitle(title)
     figure.tight_layout()
