@@ -91,7 +91,7 @@ def test_an_installed_wheel_runs_the_demo(tmp_path):
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
     subprocess.run([*pip, "wheel", "--no-deps", "--no-build-isolation", "-w", tmp_path, source], check=True)
     subprocess.run([*pip, "install", "--no-deps", "--target", target, *tmp_path.glob("*.whl")], check=True)
-    script = "import sys, valve_control, valve_control.cli as c; print(valve_control.__file__); sys.exit(c.main(['demo']))"
+    script = "from valve_control import cli; print(cli.__file__); raise SystemExit(cli.main(['demo']))"
     environment = {**os.environ, "PYTHONPATH": str(target)}
     done = subprocess.run(
         [sys.executable, "-c", script],
