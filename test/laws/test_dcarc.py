@@ -131,8 +131,8 @@ def test_inner_states_move_as_the_differential_equation_says(model, time):
         return of.rate[:, :m] @ inner + of.rate[:, m] * (reference + rate * t)
 
     exact = scipy.integrate.solve_ivp(slope, (0.0, time), begin, rtol=1e-11, atol=1e-18).y[:, -1]
-    state = dcarc.Inverse(*(float(v) for v in (*begin, 0.0, 0.0, 0.0, 0.0)[:4]))
-    assert np.allclose(dcarc.moved(move, state, reference, rate)[:m], exact, rtol=1e-7, atol=1e-15)
+    state = dcarc.parts.Inverse(*(float(v) for v in (*begin, 0.0, 0.0, 0.0, 0.0)[:4]))
+    assert np.allclose(dcarc.parts.moved(move, state, reference, rate)[:m], exact, rtol=1e-7, atol=1e-15)
 
 
 def last_of_riccati(a, g, h):

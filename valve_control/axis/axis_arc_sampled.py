@@ -198,21 +198,9 @@ PARAMETERS: Table = (
     Parameter("axis_arc.k1", 30.0, "1/s", "decay rate of the position error", 0.1, 1e4),
     Parameter("axis_arc.k2", 20.0, "1/s", "decay rate of the velocity error", 0.1, 1e4),
     Parameter("axis_arc.k3", 10.0, "1/s", "decay rate of the load force error", 0.1, 1e4),
+    Parameter("axis_arc.coupling", 0.0, "1/s", "coupling of velocity and force error; 0: natural", 0.0, 1e4),
     Parameter(
-        "axis_arc.coupling",
-        0.0,
-        "1/s",
-        "coupling of velocity and force error; 0: natural frequency",
-        0.0,
-        1e4,
-    ),
-    Parameter(
-        "axis_arc.learning",
-        1.0,
-        "m/s",
-        "velocity error that weighs as an estimate off by its range",
-        1e-6,
-        1e6,
+        "axis_arc.learning", 1.0, "m/s", "velocity error that weighs as an estimate's range", 1e-6, 1e6
     ),
     Parameter(
         "axis_arc.uncertainty", 0.4, "-", "share by which each estimate may leave its initial value", 0.0, 0.9
@@ -222,14 +210,7 @@ PARAMETERS: Table = (
     ),
     Parameter("axis_arc.mass", 0.0, "kg", "initial estimate of the mass; 0: that of the machine", 0.0, 1e7),
     Parameter("axis_arc.bulk_modulus", 0.0, "Pa", "initial bulk modulus; 0: that of the machine", 0.0, 1e11),
-    Parameter(
-        "axis_arc.friction_velocity",
-        0.02,
-        "m/s",
-        "width of the turn of friction over the velocity",
-        1e-5,
-        10.0,
-    ),
+    Parameter("axis_arc.friction_velocity", 0.02, "m/s", "width of the turn of friction", 1e-5, 10.0),
     Parameter(
         "axis_arc.overlap_zone", 0.2, "V", "command beyond the overlap of whole compensation", 1e-6, 100.0
     ),

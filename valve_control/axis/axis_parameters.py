@@ -74,26 +74,14 @@ AXIS: Table = (
     Parameter("spool.flow_pressure", 35e5, "Pa", "pressure difference of spool.flow", 1e3, 1e8),
     Parameter("spool.full_scale", 10.0, "V", "position at which the edges are fully open", 0.01, 100.0),
     Parameter(
-        "spool.overlap",
-        [0.03, 0.03, 0.03, 0.03],
-        "-",
-        "overlap of P-A, P-B, A-T, B-T over full_scale",
-        -0.5,
-        0.9,
-        length=4,
+        "spool.overlap", [0.03] * 4, "-", "overlaps over full_scale: P-A, P-B, A-T, B-T", -0.5, 0.9, length=4
     ),
-    Parameter(
-        "spool.gain", [1.0, 1.0, 1.0, 1.0], "-", "flow of the same edges over spool.flow", 0.0, 10.0, length=4
-    ),
+    Parameter("spool.gain", [1.0] * 4, "-", "flow of the same edges over spool.flow", 0.0, 10.0, length=4),
     Parameter(
         "spool.laminar_pressure", 1e5, "Pa", "pressure difference below which the flow is laminar", 1.0, 1e7
     ),
     Parameter(
-        "supply.kind",
-        "constant",
-        "",
-        "constant pressure, or pump and relief valve",
-        choices=("constant", "pump"),
+        "supply.kind", "constant", "", "constant, or pump and relief valve", choices=("constant", "pump")
     ),
     Parameter(
         "supply.pressure", 140e5, "Pa", "pressure of a constant supply; initial one of a pump's", 1e5, 1e8
@@ -102,14 +90,7 @@ AXIS: Table = (
     Parameter("supply.flow", 1e-3, "m³/s", "flow of the pump", 0.0, 10.0),
     Parameter("supply.leakage", 1e-12, "m³/s/Pa", "leakage of the pump", 0.0, 1e-6),
     Parameter("relief.pressure", 140e5, "Pa", "pressure at which the relief valve begins to open", 1e5, 1e8),
-    Parameter(
-        "relief.spring",
-        1e-8,
-        "m³/s/Pa",
-        "flow per pressure above relief.pressure, by its spring",
-        1e-13,
-        1e-3,
-    ),
+    Parameter("relief.spring", 1e-8, "m³/s/Pa", "flow per pressure above it, by the spring", 1e-13, 1e-3),
     Parameter("relief.flow_force", 1e-8, "m³/s/Pa", "the same by its flow force", 1e-13, 1e-3),
     Parameter("relief.flow", 1e-2, "m³/s", "flow of the fully open relief valve at 70 bar", 1e-9, 10.0),
     Parameter(
@@ -144,7 +125,7 @@ AXIS: Table = (
             "fault.pressure",
             "none",
             "",
-            "injected fault of both pressure sensors",
+            "fault of both sensors",
             choices=("none", "silent", "jump", "not_finite"),
         ),
     ),
@@ -154,11 +135,7 @@ NOMINAL = 70e5  # Pa  pressure difference of relief.flow
 AXIS_CONTROLLER: Table = (
     SAMPLE_PERIOD,
     Parameter(
-        "upper_level",
-        "axis_pid",
-        "",
-        "velocity feedforward and PID, or adaptive robust control (axis_arc)",
-        choices=tuple(upper.LEVELS),
+        "upper_level", "axis_pid", "", "PID with feedforward, or adaptive robust", choices=tuple(upper.LEVELS)
     ),
     *axis_pid.PARAMETERS,
     *axis_arc_sampled.PARAMETERS,
@@ -166,7 +143,7 @@ AXIS_CONTROLLER: Table = (
         "course",
         "point_to_point",
         "",
-        "motion; the first one is limited in jerk",
+        "the first is limited in jerk",
         choices=("point_to_point", "sine", "step"),
     ),
     Parameter("offset", 0.0, "m", "distance of the beginning of the course from start.position", -50.0, 50.0),
@@ -203,14 +180,7 @@ AXIS_CONTROLLER: Table = (
         Parameter(
             "sensor.pressure_high", 4e7, "Pa", "highest pressure that a pressure sensor can show", 1e5, 1e9
         ),
-        Parameter(
-            "sensor.pressure_jump",
-            2e7,
-            "Pa",
-            "change of a pressure between readings that is a jump",
-            1e4,
-            1e9,
-        ),
+        Parameter("sensor.pressure_jump", 2e7, "Pa", "change between readings that is a jump", 1e4, 1e9),
         Parameter("sensor.hold_samples", 3, "", "number of wrong readings in a row that is bridged", 0, 1000),
         Parameter(
             "stop.controller", "controller", "", "valve controller that a stop deactivates (0 V); empty: none"
