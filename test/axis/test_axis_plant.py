@@ -11,7 +11,7 @@ import scipy.integrate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.axis import axis, orifice
+from valve_control.axis import axis
 from valve_control.axis import axis_parameters as parameters
 from valve_control.control.compiling import compile_function
 from valve_control.parameter import ParameterError
@@ -60,7 +60,7 @@ def pressures(p, states):
 
 @given(st.floats(-1e8, 1e8), st.floats(1.0, 1e6))
 def test_an_orifice_lets_through_in_the_sense_of_the_pressure_and_never_more_than_turbulent(drop, laminar):
-    there, back = orifice.flow(1e-7, drop, laminar), orifice.flow(1e-7, -drop, laminar)
+    there, back = axis.flow(1e-7, drop, laminar), axis.flow(1e-7, -drop, laminar)
     assert there.flow == -back.flow and there.flow * drop >= 0.0
     assert abs(there.flow) <= 1e-7 * math.sqrt(abs(drop)) * (1.0 + 1e-12)
     if abs(drop) > 10.0 * laminar:
