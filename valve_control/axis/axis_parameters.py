@@ -35,7 +35,7 @@ CONSTANT_VOLUME = 1e9  # m³; a supply so large that no flow changes its pressur
 
 def of_node(*parameters: Parameter) -> Table:
     """``parameters`` that only a node reads."""
-    return tuple(p._replace(node_only=True, text=f"{p.text}") for p in parameters)
+    return tuple(p._replace(node_only=True) for p in parameters)
 
 
 AXIS: Table = (
@@ -235,29 +235,19 @@ def axis_params(values: Values) -> axis.Params:
 
     _refuse_impossible(values)
     constant = word(values, "supply.kind") == "constant"
-    coulomb, ratio = of("load.coulomb"), of("load.static_ratio")
     weight = of("load.mass") * GRAVITY * math.sin(math.radians(of("load.inclination")))
     nominal = of("spool.flow") / math.sqrt(of("spool.flow_pressure"))
     return axis.Params(
         cylinder=axis.Cylinder(
-            area_a=of("cylinder.area_a"),
-            area_b=of("cylinder.area_b"),
-            stroke=of("cylinder.stroke"),
             dead_a=of("cylinder.dead_volume_a"),
             dead_b=of("cylinder.dead_volume_b"),
-            leakage=of("cylinder.leakage"),
-            external_leakage=of("cylinder.external_leakage"),
+            **{p: of(f"cylinder.{p}") for p in ("area_a", "area_b", "stroke", "leakage", "external_leakage")},
         ),
         load=axis.Load(
-            mass=of("load.mass"),
-            damping=of("load.damping"),
-            stiffness=of("load.stiffness"),
-            rest=of("load.rest"),
             force=of("load.force") - weight,
-            coulomb=coulomb,
-            static_ratio=ratio,
-            stribeck_velocity=of("load.stribeck_velocity"),
-            bristle_stiffness=coulomb / of("load.presliding"),
+            bristle_stiffness=of("load.coulomb") / of("load.presliding"),
+            **{p: of(f"load.{p}") for p in ("mass", "damping", "stiffness", "rest", "coulomb")},
+            **{p: of(f"load.{p}") for p in ("static_ratio", "stribeck_velocity")},
         ),
         coefficients=axis.Edges(*(nominal * gain for gain in numbers(values, "spool.gain"))),
         overlaps=axis.Edges(*numbers(values, "spool.overlap")),
@@ -366,20 +356,10 @@ def machine_params(axis_values: Values, valve_values: Values) -> machine.Params:
             f"valve is '{word(valve_values, 'valve')}'; the valve of an axis must be "
             f"{one_of(registry.PLANTS['linear'].values)}"
         )
-    return machine.Params(
-        valve=fed,
-        axis=axis_params(axis_values),
-        sensors=sensors(axis_values),
-    )
+    return machine.Params(fed, axis_params(axis_values), sensors(axis_values))
 
 
 def start(p: machine.Params, values: Values) -> machine.State:
     """Machine at rest at start.position with the start's pressures."""
-    at = axis.initial(
-        p.axis,
-        number(values, "start.position"),
-        number(values, "start.pressure_a"),
-        number(values, "start.pressure_b"),
-        number(values, "supply.pressure"),
-    )
-    return machine.begin(p, at)
+    names = ("start.position", "start.pressure_a", "start.pressure_b", "supply.pressure")
+    return machine.begin(p, axis.initial(p.axis, *(number(values, name) for name in names)))

@@ -8,7 +8,7 @@ point, to the last bit.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import PPoly
@@ -42,22 +42,24 @@ class PathPoint(NamedTuple):
     time: int  # ns  from the beginning
 
 
-Row = tuple[Sequence[float], Sequence[float], Sequence[float], int]
+def nanoseconds(time: Any) -> int:
+    """Time [ns] of a stamp or duration of ROS."""
+    return int(time.sec * 10**9 + time.nanosec)
 
 
-def points_of(joint: str, joints: Sequence[str], rows: Sequence[Row]) -> list[PathPoint]:
+def points_of(joint: str, joints: Sequence[str], rows: Sequence[Any]) -> list[PathPoint]:
     """Points of a trajectory of ``joints``, as far as they are for ``joint``.
 
-    A row has positions [m], velocities [m/s] and accelerations [m/s²] (or none) of all joints, and the time
-    from the start [ns]. Raises ParameterError.
+    Rows are those of JointTrajectory: positions [m], velocities [m/s], accelerations [m/s²] (or none) of all
+    joints, and the time from the start. Raises ParameterError.
     """
     if joint not in joints:
         named = ", ".join(f"'{name}'" for name in joints) or "no joint"
         raise ParameterError(f"the trajectory is for {named}, not for '{joint}'")
     at = list(joints).index(joint)
     points = []
-    for i, (positions, velocities, accelerations, time) in enumerate(rows):
-        counts = len(positions), len(velocities), len(accelerations)
+    for i, row in enumerate(rows):
+        counts = len(row.positions), len(row.velocities), len(row.accelerations)
         if counts[0] != len(joints) or any(count not in (0, len(joints)) for count in counts[1:]):
             raise ParameterError(
                 f"point {i} of the trajectory has {counts[0]} positions, {counts[1]} velocities and "
@@ -65,10 +67,10 @@ def points_of(joint: str, joints: Sequence[str], rows: Sequence[Row]) -> list[Pa
             )
         points.append(
             PathPoint(
-                positions[at],
-                velocities[at] if counts[1] else None,
-                accelerations[at] if counts[2] else None,
-                time,
+                row.positions[at],
+                row.velocities[at] if counts[1] else None,
+                row.accelerations[at] if counts[2] else None,
+                nanoseconds(row.time_from_start),
             )
         )
     return points

@@ -7,6 +7,7 @@ The derivation is in docs/explanation/laws/dcarc.md.
 
 import functools
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -243,47 +244,44 @@ def kalman(o: Observed, scale: Floats) -> Floats:
     """
     a = o.a * scale / scale[:, None]
     c = (o.c * scale)[:, None]
-    process = o.process / scale / scale[:, None]
-    try:
-        p = scipy.linalg.solve_discrete_are(a.T, c, process, np.array([[o.reading]]))
+
+    def solved(p: Floats) -> tuple[Floats, Floats]:
         gain = (p @ c)[:, 0] / ((c.T @ p @ c)[0, 0] + o.reading)
-        radius = np.max(np.abs(np.linalg.eigvals(a - np.outer(a @ gain, c[:, 0]))))
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise ParameterError(f"dcarc has no Kalman filter with these noises: {_reason(error)}") from error
-    if not radius < 1.0:
-        raise ParameterError(
-            f"dcarc has no Kalman filter with these noises: its largest pole would be {radius:.6f}; raise "
-            "dcarc.disturbance_rate or dcarc.input_noise, or lower dcarc.lvdt_noise"
-        )
-    gained: Floats = gain * scale
-    return gained
+        return gain, a - np.outer(a @ gain, c[:, 0])
+
+    advice = "; raise dcarc.disturbance_rate or dcarc.input_noise, or lower dcarc.lvdt_noise"
+    equation = a.T, c, o.process / scale / scale[:, None], np.array([[o.reading]])
+    return _stationary(equation, solved, "Kalman filter with these noises", advice) * scale
 
 
 def regulator(a: Floats, b: Floats, weight: float, scale: Floats) -> Floats:
     """Gain K of the LQR that minimises Σ x_1² + ``weight``·u². Raises ParameterError."""
     a = a * scale / scale[:, None]
     b = (b / scale)[:, None]
-    n = len(scale)
-    state = np.zeros((n, n))
+    state = np.zeros(a.shape)
     state[0, 0] = 1.0
-    try:
-        s = scipy.linalg.solve_discrete_are(a, b, state, np.array([[weight]]))
+
+    def solved(s: Floats) -> tuple[Floats, Floats]:
         gain = (b.T @ s @ a)[0] / (weight + (b.T @ s @ b)[0, 0])
-        radius = np.max(np.abs(np.linalg.eigvals(a - b @ gain[None, :])))
+        return gain, a - b @ gain[None, :]
+
+    what = f"LQR with dcarc.voltage_weight {weight:g}"
+    return _stationary((a, b, state, np.array([[weight]])), solved, what, "") / scale
+
+
+def _stationary(
+    equation: tuple[Floats, ...], solved: Callable[[Floats], tuple[Floats, Floats]], what: str, advice: str
+) -> Floats:
+    """Gain that ``solved`` makes, with its closed loop, of the solution of the Riccati ``equation``."""
+    try:
+        gain, loop = solved(scipy.linalg.solve_discrete_are(*equation))
+        radius = np.max(np.abs(np.linalg.eigvals(loop)))
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise ParameterError(
-            f"dcarc has no LQR with dcarc.voltage_weight {weight:g}: {_reason(error)}"
-        ) from error
+        reason = str(error).rstrip(".") or "the Riccati equation has no finite solution"
+        raise ParameterError(f"dcarc has no {what}: {reason}") from error
     if not radius < 1.0:
-        raise ParameterError(
-            f"dcarc has no LQR with dcarc.voltage_weight {weight:g}: its largest pole would be {radius:.6f}"
-        )
-    gained: Floats = gain / scale
-    return gained
-
-
-def _reason(error: Exception) -> str:
-    return "the Riccati equation has no finite solution" if not str(error) else str(error).rstrip(".")
+        raise ParameterError(f"dcarc has no {what}: its largest pole would be {radius:.6f}{advice}")
+    return gain
 
 
 def mean_lag(o: Observed, gain: Floats, at: int) -> float:
@@ -380,23 +378,13 @@ def reference(model: TransferFunction, period: float) -> tuple[Inverted, dict[st
     )
 
 
-class Waiting(NamedTuple):
-    """The way of the voltage to the valve: periods that it waits, and what it does then."""
-
-    periods: int  # whole ones
-    input: Floats  # n  column of the voltage that acts at the end of a period
-    early: Floats  # n  of the one before, which acts at its beginning
-    late: float  # of the first on the position that is the first of the past ones
-    passing_early: float  # of the one before
-    transition: Floats  # n×n  over the dead time
-    held: Floats  # n×MOST_DELAY  of the voltages before, until the one of now begins to act
-    pushed: Floats  # n  of the disturbance until then
-
-
-def waiting(model: TransferFunction, period: float, coil: float, dead_time: float, age: float) -> Waiting:
+def waiting(model: TransferFunction, period: float, coil: float, dead_time: float, age: float) -> Any:
     """Dead time of the actuator [s]: a voltage acts so much later than it is sent, for one ``period``.
 
     ``age`` [s]: of the first of the past positions, at the next sample; see ``readings`` for ``coil``.
+    Returns whole periods; the column of the voltage that acts at the end of a period, and its part of that
+    position; the same of the one before, which acts at its beginning; the transition over the dead time, what
+    voltages before (n×MOST_DELAY) do until the one of now begins to act, and what the disturbance does.
     """
     a, b = observability_form(model)
     _, f = observability_form(_from_force(model, coil)) if coil > 0.0 else (a, b)
@@ -418,17 +406,8 @@ def waiting(model: TransferFunction, period: float, coil: float, dead_time: floa
         held[:, i] = power @ full
         power = whole @ power
     held[:, periods] = power @ before
-    transition, pushed = power @ until, sampled(a, f, dead_time, scale)[1]
-    return Waiting(
-        periods,
-        then,
-        after @ before,
-        float(last[0]),
-        float(first[0]),
-        transition,
-        held[:, :MOST_DELAY],
-        pushed,
-    )
+    over = power @ until, held[:, :MOST_DELAY], sampled(a, f, dead_time, scale)[1]
+    return periods, (then, float(last[0])), (after @ before, float(first[0])), over
 
 
 @functools.lru_cache(maxsize=32)
@@ -517,10 +496,11 @@ def design(
     full[:n] = transition
     rows = [_filled(parts.Row, row) for row in full]
     passing = o.a[n + 1, :n] if m else np.zeros(n)
-    wait = waiting(model, period, coil, dead_time, ages[0] if m else 0.0)
-    acting, late = held, float(o.b[n + 1]) if m else 0.0
-    if dead_time > 0.0:
-        acting, late = wait.input, wait.late
+    whole, later, (early, passing_early), over = waiting(
+        model, period, coil, dead_time, ages[0] if m else 0.0
+    )
+    until, waits, pushed = over
+    acting, late = later if dead_time > 0.0 else (held, float(o.b[n + 1]) if m else 0.0)
     return dict(
         model=parts.Model(
             row0=rows[0],
@@ -535,11 +515,11 @@ def design(
             passing_input=late if m else 0.0,
             passing_force=float(o.a[n + 1, n]) - late if m else 0.0,
             waits=1.0 if dead_time > 0.0 else 0.0,
-            direct=1.0 if wait.periods == 0 else 0.0,
-            acting=_filled(parts.Past, np.eye(MOST_DELAY + 1)[wait.periods][1:]),
-            leaving=_filled(parts.Past, np.eye(MOST_DELAY + 2)[wait.periods + 1][1 : MOST_DELAY + 1]),
-            early=_filled(parts.Row, wait.early),
-            passing_early=wait.passing_early if m else 0.0,
+            direct=1.0 if whole == 0 else 0.0,
+            acting=_filled(parts.Past, np.eye(MOST_DELAY + 1)[whole][1:]),
+            leaving=_filled(parts.Past, np.eye(MOST_DELAY + 2)[whole + 1][1 : MOST_DELAY + 1]),
+            early=_filled(parts.Row, early),
+            passing_early=passing_early if m else 0.0,
             present=0.0 if m else 1.0,
             shown=_filled(parts.Past, shown),
             ages=_filled(parts.Past, ages),
@@ -551,9 +531,9 @@ def design(
             parts.Wave(float(wave[0]), float(wave[1])),
         ),
         turn=parts.Turn(1.0 if waves else 0.0, math.cos(angle), math.sin(angle)),
-        feedback=_filled(parts.Row, feedback @ wait.transition if dead_time > 0.0 else feedback),
-        waiting=_filled(parts.Past, feedback @ wait.held),
-        unexplained=float(feedback @ wait.pushed),
+        feedback=_filled(parts.Row, feedback @ until if dead_time > 0.0 else feedback),
+        waiting=_filled(parts.Past, feedback @ waits),
+        unexplained=float(feedback @ pushed),
         wanted=_combination(feedback @ of.state, len(of.rate)),
         **moves,
         lag_share=1.0 / mean_lag(o, gain, n),
