@@ -194,15 +194,6 @@ def test_lqr_gain_is_where_the_backward_recursion_ends(model, weight):
             assert cost(other) >= best * (1.0 - 1e-9)
 
 
-def linear(model, period):
-    """x⁺ and position of a model of any order, by scipy's own discretisation of its own state space."""
-    a, b, c, d = scipy.signal.tf2ss(model.numerator, model.denominator)
-    balanced, similarity = scipy.linalg.matrix_balance(a, permute=False)
-    b, c = np.linalg.solve(similarity, b), c @ similarity
-    a, b, *_ = scipy.signal.cont2discrete((balanced, b, c, d), period)
-    return a, b[:, 0], c[0]
-
-
 @pytest.mark.parametrize("model", COILS, ids=COIL_NAMES)
 def test_the_check_of_stability_has_the_poles_of_filter_and_regulator(model):
     """On its own model the loop has the poles of A - B·K and of A·(I - L·c): separation principle."""
