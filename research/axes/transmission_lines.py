@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.axis import axis, axis_pid
-from valve_control.axis.orifice import opening
+from valve_control.axis.axis import opening
 from valve_control.control.plant.amplifier import saturate
 
 Array = npt.NDArray[np.float64]

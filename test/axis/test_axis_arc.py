@@ -12,7 +12,6 @@ from valve_control.axis import axis_arc
 from valve_control.axis.axis_arc import Measured, Model, Theta
 from valve_control.axis.axis_parameters import axis_params
 from valve_control.axis.course import Goal
-from valve_control.control.compiling import compile_function
 from valve_control.parameter import number
 
 STEP = 2e-5  # s
@@ -20,85 +19,6 @@ K1, K2, K3 = 25.0, 60.0, 80.0
 KAPPA = 60.0  # 1/s
 BULK = 1.4e9
 SWIFT = 0.02  # m/s  estimates' error over their range that weighs like 1 m/s
-
-
-def run(p, theta, begin, shake, disturbance, samples, substeps):
-    """Rows of V, z1, z2, z3, the opening, the estimates' part, and what keeps V from falling (part A)."""
-    rows = np.zeros((samples, 7))
-    m = p.model
-    s = begin
-    x = 0.25
-    v = 0.0
-    pa = 50e5
-    pb = 80e5
-    for k in range(samples):
-        t = k * p.period
-        w = shake
-        rise = min(1.0, t / 0.2)
-        c = rise * rise * rise * (10.0 - 15.0 * rise + 6.0 * rise * rise)
-        c1 = 30.0 * rise * rise * (1.0 - rise) * (1.0 - rise) / 0.2 if rise < 1.0 else 0.0
-        c2 = 60.0 * rise * (1.0 - rise) * (1.0 - 2.0 * rise) / 0.04 if rise < 1.0 else 0.0
-        c3 = 60.0 * (1.0 - 6.0 * rise + 6.0 * rise * rise) / 0.008 if rise < 1.0 else 0.0
-        g, g1, g2, g3 = 0.0, 0.0, 0.0, 0.0
-        for i in range(2):
-            f = w * (1.0 + 0.6 * i)
-            amplitude = 0.03 / (1.0 + i)
-            y, y1 = amplitude * math.sin(f * t), amplitude * f * math.cos(f * t)
-            y2, y3 = -f * f * y, -f * f * y1
-            g += c * y
-            g1 += c1 * y + c * y1
-            g2 += c2 * y + 2.0 * c1 * y1 + c * y2
-            g3 += c3 * y + 3.0 * c2 * y1 + 3.0 * c1 * y2 + c * y3
-        goal = Goal(0.25 + g, g1, g2)
-        t0 = s
-        command, s, terms = axis_arc.step(p, s, goal, g3, Measured(x, v, pa, pb))
-        opening = command / p.full_scale
-        e = s
-        off = (
-            (e.mobility - theta.mobility) ** 2 / p.gamma.mobility
-            + (e.damping - theta.damping) ** 2 / p.gamma.damping
-            + (e.friction - theta.friction) ** 2 / p.gamma.friction
-            + (e.force - theta.force) ** 2 / p.gamma.force
-            + (e.bulk - theta.bulk) ** 2 / p.gamma.bulk
-        )
-        energy = 0.5 * (terms.z1**2 + terms.z2**2 + p.w3 * terms.z3**2)
-        rows[k, 0] = energy
-        rows[k, 1] = terms.z1
-        rows[k, 2] = terms.z2
-        rows[k, 3] = terms.z3
-        rows[k, 4] = terms.opening
-        rows[k, 5] = 0.5 * off
-        d = disturbance * math.sin(7.0 * t)
-        sign = math.tanh(v / p.friction_velocity)
-        load = m.area_a * pa - m.area_b * pb
-        off2 = (p.high.mobility - p.low.mobility) * abs(load) + (p.high.damping - p.low.damping) * abs(v)
-        off2 += (p.high.friction - p.low.friction) * abs(sign) + p.high.force - p.low.force + disturbance
-        flowing = axis_arc.openness(m, Measured(x, v, pa, pb), opening > 0.0) * opening
-        off3 = (p.high.bulk - p.low.bulk) * abs(flowing - axis_arc.stiffness(m, x) * v)
-        slope = (1.0 - sign * sign) / p.friction_velocity
-        by_velocity = (p.k1 + p.k2 - t0.damping - t0.friction * slope) / t0.mobility
-        off3 += abs(by_velocity) * off2
-        rows[k, 6] = 0.5 * off2 * off2 / p.k2 + 0.5 * p.w3 * off3 * off3 / p.k3
-        h = p.period / substeps
-        for _ in range(substeps):
-            va = m.dead_a + m.area_a * x
-            vb = m.dead_b + m.area_b * (m.stroke - x)
-            if opening > 0.0:
-                qa = axis_arc.drop_flow(m.flow_pa, m.supply - pa, m.least_drop)
-                qb = axis_arc.drop_flow(m.flow_bt, pb - m.tank, m.least_drop)
-            else:
-                qa = axis_arc.drop_flow(m.flow_at, pa - m.tank, m.least_drop)
-                qb = axis_arc.drop_flow(m.flow_pb, m.supply - pb, m.least_drop)
-            a = theta.mobility * (m.area_a * pa - m.area_b * pb) - theta.damping * v
-            a += theta.force - theta.friction * math.tanh(v / p.friction_velocity) + d
-            v += h * a  # symplectic: the pressures meet the new velocity
-            x += h * v
-            pa += h * theta.bulk / va * (qa * opening - m.area_a * v)
-            pb += h * theta.bulk / vb * (m.area_b * v - qb * opening)
-    return rows
-
-
-FAST = compile_function(run)
 
 
 def scaled(theta, factors):
@@ -193,58 +113,8 @@ def rate_of_energy(seed):
     return 2.0 * half - whole, -loss + (one.z2 - p.w3 * one.z3 * by_velocity) * d, loss
 
 
-def check_rates(seeds):
-    for seed in seeds:
-        found, expected, loss = rate_of_energy(seed)
-        assert found == pytest.approx(expected, abs=2e-3 * loss + 1e-9), seed
-
-
 def test_the_lyapunov_function_falls_as_the_theorem_says_at_any_state():
     """Parameters off by up to 30 % do not occur in dV/dt: part B. A disturbance does, as the page says."""
-    check_rates(range(100))
-
-
-@pytest.mark.campaign
-def test_the_lyapunov_function_falls_as_the_theorem_says_on_thousands_of_axes():
-    check_rates(range(100, 4100))
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_with_parameters_off_and_nothing_else_the_error_falls_and_adaptation_is_why(seed):
-    p, theta, begin, random = drawn(seed)
-    shake = 2.0 * np.pi * random.uniform(0.8, 1.5)
-    rows = FAST(p, theta, begin, shake, 0.0, 200_000, 2)
-    fixed = p._replace(gamma=scaled(p.gamma, [1e-12] * 5))
-    without = FAST(fixed, theta, begin, shake, 0.0, 200_000, 2)
-    assert np.max(np.abs(rows[:, 4])) < 1.0  # no saturation
-    total = rows[:, 0] + rows[:, 5]
-    assert total[-1] < total[0] and np.max(total - np.minimum.accumulate(total)) < 0.01 * total[0]
-    errors = [np.sqrt(np.mean(r[-50_000:, 1] ** 2)) for r in (rows, without)]
-    assert errors[0] < 0.2 * errors[1]
-
-
-def check_bound(seeds):
-    """V ≤ V(0)·exp(-λt) + R/λ with λ = min(2k1, k2, k3) and R the largest of the page's r so far."""
-    used = []
-    for seed in seeds:
-        p, theta, begin, random = drawn(seed)
-        disturbance = float(random.uniform(0.0, 2.0))
-        rows = FAST(p, theta, begin, 2.0 * np.pi * random.uniform(0.5, 1.0), disturbance, 50_000, 2)
-        if np.max(np.abs(rows[:, 4])) >= 10.0:  # the command was at its limit
-            continue
-        rate = min(2.0 * p.k1, p.k2, p.k3)
-        decay = np.exp(-rate * p.period * np.arange(len(rows)))
-        most = rows[0, 0] * decay + np.maximum.accumulate(rows[:, 6]) / rate
-        assert np.all(rows[:, 0] <= most * 1.0001), seed
-        used.append(np.max(rows[:, 0] / most))
-    assert len(used) > 0.9 * len(seeds)
-    return max(used)
-
-
-def test_the_error_stays_below_the_bound_under_disturbances():
-    assert check_bound(range(30)) > 0.01
-
-
-@pytest.mark.campaign
-def test_the_error_stays_below_the_bound_on_thousands_of_axes():
-    check_bound(range(1000, 3000))
+    for seed in range(100):
+        found, expected, loss = rate_of_energy(seed)
+        assert found == pytest.approx(expected, abs=2e-3 * loss + 1e-9), seed

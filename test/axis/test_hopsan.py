@@ -1,15 +1,8 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Hopsan's validation models "Position Servo" and "Hydraulic43ValveTest", rebuilt from their parameters.
-
-Hopsan's reference curves are not part of this repository. Whoever has them (the .hvd files of Models/Example
-Models Validations and Models/Component Test Validations of github.com/Hopsan/hopsan, in one folder) names
-the folder in HOPSAN_REFERENCES.
-"""
+"""Hopsan's validation models "Position Servo" and "Hydraulic43ValveTest", rebuilt from their parameters."""
 
 import math
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,10 +12,6 @@ from valve_control.axis import axis
 from valve_control.axis.axis_parameters import AXIS, axis_params
 from valve_control.parameter import defaults
 
-FOLDER = Path(os.environ.get("HOPSAN_REFERENCES", "."))
-needs_references = pytest.mark.skipif(
-    "HOPSAN_REFERENCES" not in os.environ, reason="needs Hopsan's reference curves, HOPSAN_REFERENCES"
-)
 # 24 of the 2048 rows of "Position Servo.hvd" (github.com/Hopsan/hopsan, Models/Example Models Validations, of
 # commit 36282b077, 2015-09-02): those in which the relief valve's column changes most, of 24 spans of time.
 QUOTED = np.array(
@@ -81,14 +70,6 @@ def test_with_smaller_steps_hopsans_method_comes_to_ours():
     assert np.mean(found["relief"] > 0.01) < 0.01
 
 
-@needs_references
-def test_the_position_servo_meets_its_whole_reference():
-    found = hopsan.compare(FOLDER)
-    assert max(found["lines"].values()) < 0.01
-    exact = found["exact_in_time"]  # with the delay of Hopsan's order, but not with its steps
-    assert exact["position"] < 0.01 and exact["valve"] < 0.01 and exact["step"] == 0.0
-
-
 # 8 of the 1000 rows of "Hydraulic43ValveTest.hvd" (Models/Component Test Validations, ba4f449dd, 2014-07-11).
 QUOTED_FLOWS = np.array(
     [
@@ -121,10 +102,3 @@ def test_the_flows_of_the_four_edges_are_those_of_hopsans_valve():
     found = flows_of_a_ramp(QUOTED_FLOWS[:, 0])
     ranges = np.array([0.00692, 0.0069, 0.00284, 0.00284])  # of the whole columns
     assert np.all(np.abs(found - QUOTED_FLOWS[:, 1:]) < 0.01 * ranges)
-
-
-@needs_references
-def test_the_four_edges_meet_their_whole_reference():
-    wanted = hopsan.reference(FOLDER, "Hydraulic43ValveTest.hvd")
-    error = np.abs(flows_of_a_ramp(wanted[:, 0]) - wanted[:, 1:]) / np.ptp(wanted[:, 1:], axis=0)
-    assert np.max(error) < 0.01

@@ -21,14 +21,6 @@ def test_every_axis_of_the_box_can_move_and_is_the_same_again():
         assert 0.02 < into < out < 0.2
 
 
-def test_the_servo_is_the_fastest_of_the_valves():
-    servo, slow = (study.valve_settings(name) for name in ("servo", "open_loop"))
-    assert servo["valve_simulator"]["denominator"][2] == pytest.approx((2.0 * math.pi * 100.0) ** 2)
-    assert servo["valve_simulator"]["friction.coulomb"] == 0.0
-    assert slow["valve_simulator"]["valve"] == "fourth_order"
-    assert slow["valve_simulator"]["friction.coulomb"] > 0.0
-
-
 class Driven:
     """In place of a ``study.Axis``: a valve of second order before an integrator, whose reach is known."""
 

@@ -12,7 +12,7 @@ from supervised import Steps, SupervisedValve, driven, fitted
 
 from benchmarks import solenoid
 from research import coil
-from valve_control.control.laws import dcarc_valve
+from valve_control.control.laws import dcarc
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
 from valve_control.control.parameters import build
@@ -289,7 +289,7 @@ def test_some_designs_keep_the_margins_on_a_box_of_valves(name):
     task = gains.task(plan, defaults(CONTROLLER), made, knows, REST, 1.0)
     box = margins.prepared(task.problem.box)
     starts = designs.starts(LAWS["dcarc"], task.problem, box)
-    assert len(starts) == len(dcarc_valve.LOOPS) * len(designs.SHARES)
+    assert len(starts) == len(dcarc.LOOPS) * len(designs.SHARES)
     missing = [
         trial.violation(trial.USUAL, margins.margins(LAWS["dcarc"], LAWS["dcarc"].build(values), box))
         for values in starts

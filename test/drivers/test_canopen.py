@@ -229,18 +229,6 @@ def test_a_wrong_bus_or_node_is_named(words, changes, said):
         driver(valve, **changes).open()
 
 
-@pytest.mark.parametrize("refused", ["0x1600:1", "0x1A00:2"])
-def test_a_valve_that_takes_no_such_pdo_is_named_with_the_object(refused):
-    index, sub = refused.split(":")
-    with device("valve_408", "5", "408", refused, str(PERIOD)) as valve:
-        made = driver(valve)
-        made.open()
-        with pytest.raises(DriverError, match=rf"node 5 refuses .* in object {index}:0{sub}"):
-            made.enable(True)
-        assert valve.order("state").split()[1] == "0.0000"
-        made.close()
-
-
 def test_a_valve_that_answers_no_more_before_it_is_enabled_loses_readings_and_then_the_device(valve):
     made = driver(valve, sdo_timeout=0.1)
     made.open()

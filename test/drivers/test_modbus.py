@@ -14,7 +14,6 @@ from spool import device, until
 
 from valve_control.control.drivers.driver import DriverError
 from valve_control.control.drivers.modbus import KIND, PARAMETERS
-from valve_control.control.drivers.ticks import Ticks
 from valve_control.parameter import defaults, updated
 
 PERIOD = 0.005  # s
@@ -184,18 +183,3 @@ def test_counts_are_the_signal_within_half_a_count_and_its_range(signal, signed)
     counts = register - (register >> 15 << 16) if signed else register
     low, high = (-32768, 32767) if signed else (0, 65535)
     assert counts == pytest.approx(max(low, min(high, signal * 3276.7)), abs=0.5)
-
-
-def test_ticks_are_those_of_an_absolute_clock():
-    period, start = 0.002, time.monotonic()
-    ticks = Ticks(period)
-    used = missed = 0
-    now = start
-    while now < start + 0.1:
-        missed += ticks.wait()
-        now = time.monotonic()
-        used += 1
-        if used == 5:
-            time.sleep(3.5 * period)
-    assert missed >= 2
-    assert (used + missed) == pytest.approx((now - start) / period, abs=1.5)

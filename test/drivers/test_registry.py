@@ -42,21 +42,9 @@ def listed(folder, points):
     return done.stdout.splitlines()
 
 
-def test_a_driver_of_another_package_is_one_of_the_kinds(tmp_path):
-    assert listed(tmp_path, {"card": "KIND"}) == ["{'card': 'card_driver'}", ""]
-
-
 def test_broken_ones_are_left_out_with_the_reason(tmp_path):
-    broken = {
-        "a": "NONE",
-        "b": "FOREIGN",
-        "c": "CAPITAL",
-        "d": "TAKEN",
-        "e": "ABSENT",
-        "f": "KIND",
-        "g": "KIND",
-    }
-    kinds, *said = listed(tmp_path, broken)
+    broken = ("NONE", "FOREIGN", "CAPITAL", "TAKEN", "ABSENT", "KIND", "KIND")
+    kinds, *said = listed(tmp_path, dict(zip("abcdefg", broken, strict=True)))
     assert kinds == "{'card': 'card_driver'}" and len(said) == 6
     for sentence, words in zip(
         said,

@@ -91,6 +91,9 @@ REFUSED = [
     (["--output", "new", "--fmu", "2", "--float"], "an FMU calculates in double"),
     (["--output", "new.fmu", "--fmu", "2"], "needs a C compiler, and there is no not_there"),
     (["--output", "new", "--float"], "needs a C compiler, and there is no not_there"),
+    (["--output", "new", "--watch", "--plant", "valve"], "leave out --plant"),
+    (["--output", "new", "--watch", "--fmu", "2"], "an FMU has the law alone"),
+    (["--output", "new", "--watch", "--float"], "the watch counts time"),
     (["--output", "new", "--float", "--set", "oarc.k2=1e12", "--controller", "oarc"], "compiler"),
 ]
 

@@ -76,17 +76,3 @@ def test_the_inverse_of_a_curve_behind_a_law(run, tmp_path, law, watch):
     (tmp_path / "made" / f"{law}.c").write_text(before + changed_line + after)
     done = check(tmp_path / "made", SANITIZED)
     assert "rows differ" in done.stdout, done.stderr
-
-
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        (["--plant", "valve"], "leave out --plant"),
-        (["--fmu", "2"], "an FMU has the law alone"),
-        (["--float"], "the watch counts time"),
-    ],
-)
-def test_what_the_watch_cannot_be_part_of_is_refused(run, tmp_path, words, reason):
-    status, out, err = run("export", "--watch", *words, "--output", "made")
-    assert status == 2 and out == "" and reason in err and err.count("\n") == 1
-    assert not any(tmp_path.iterdir())

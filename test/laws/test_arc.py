@@ -8,7 +8,7 @@ import changed
 import numpy as np
 import sympy as sp
 
-from valve_control.control.laws import arc, lyapunov_bound, projection, reshaping, velocity
+from valve_control.control.laws import arc, lyapunov_bound, reshaping, velocity
 from valve_control.control.laws.projection import Theta
 
 
@@ -49,42 +49,3 @@ def test_error_dynamics_are_equation_22():
         )  # (22)
         assert math.isclose(got, expected, rel_tol=1e-9, abs_tol=1e-6)
         assert np.allclose(tau, phi * z2_value)
-
-
-def continuous(p, theta_true, duration, period, reference, disturbance, adapt=True):
-    """Theorem's own setting: true states, Euler-fine period, plant (17) with disturbance [V/s²]."""
-    a1, a0, b0, b0dn = theta_true
-    x1 = x2 = 0.0
-    theta = p.theta_initial
-    history = []
-    for k in range(round(duration / period)):
-        t = k * period
-        xd, xd1, xd2 = reference(t)
-        terms, tau, _ = evaluated(p, theta, x1, x2, xd, xd1, xd2)
-        history.append((terms.z1, terms.z2, terms.lyapunov))
-        accel = -a1 * x2 - a0 * x1 + b0 * terms.unsaturated_voltage + b0dn + disturbance(t)
-        x2 += accel * period
-        x1 += x2 * period
-        if adapt:
-            rate = projection.rates(theta, p.gamma, tau, p.theta_min, p.theta_max)
-            theta = projection.advance(theta, rate, period, p.theta_min, p.theta_max)
-    return np.array(history)
-
-
-def sine(t, amplitude=1.0, w=2.0 * math.pi * 2.0):
-    return (
-        amplitude * (1.0 - math.cos(w * t)),
-        amplitude * w * math.sin(w * t),
-        amplitude * w * w * math.cos(w * t),
-    )
-
-
-def test_theorem_1b_error_vanishes_under_parametric_error_only():
-    # Γ below is larger than the paper's only to see the limit within seconds.
-    p = params(arc__gamma=[20.0, 1100.0, 1200.0, 5000.0])
-    history = continuous(p, (58.771, 1657.206, 1502.057, 300.0), 20.0, 2e-4, sine, lambda t: 0.0)
-    early = np.max(np.abs(history[:2500, 0]))
-    late = np.max(np.abs(history[-2500:, 0]))
-    assert late < 0.03 * early  # the Euler step leaves a floor of order ΔT
-    fixed = continuous(p, (58.771, 1657.206, 1502.057, 300.0), 20.0, 2e-4, sine, lambda t: 0.0, adapt=False)
-    assert np.max(np.abs(fixed[-2500:, 0])) > 20.0 * late

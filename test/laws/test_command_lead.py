@@ -77,7 +77,3 @@ def test_whatever_comes_the_lead_stays_within_the_limits(commands, lead, share):
         assert abs(s.rate) <= abs(before) + 12.0 * (1.0 + 1e-9)  # (6)
         assert abs(s.accel) <= 12000.0 * (1.0 + 1e-9)  # (6)
         assert abs(command_lead.led(p, s, command)) <= 10.0
-
-
-def test_without_a_lead_commands_are_left_as_they_are():
-    assert led(PARABOLA).tolist() == PARABOLA.tolist()

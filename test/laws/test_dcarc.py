@@ -131,8 +131,8 @@ def test_inner_states_move_as_the_differential_equation_says(model, time):
         return of.rate[:, :m] @ inner + of.rate[:, m] * (reference + rate * t)
 
     exact = scipy.integrate.solve_ivp(slope, (0.0, time), begin, rtol=1e-11, atol=1e-18).y[:, -1]
-    state = dcarc.Inverse(*(float(v) for v in (*begin, 0.0, 0.0, 0.0, 0.0)[:4]))
-    assert np.allclose(dcarc.moved(move, state, reference, rate)[:m], exact, rtol=1e-7, atol=1e-15)
+    state = dcarc.parts.Inverse(*(float(v) for v in (*begin, 0.0, 0.0, 0.0, 0.0)[:4]))
+    assert np.allclose(dcarc.parts.moved(move, state, reference, rate)[:m], exact, rtol=1e-7, atol=1e-15)
 
 
 def last_of_riccati(a, g, h):
@@ -192,15 +192,6 @@ def test_lqr_gain_is_where_the_backward_recursion_ends(model, weight):
             other = gain.copy()
             other[i] *= factor
             assert cost(other) >= best * (1.0 - 1e-9)
-
-
-def linear(model, period):
-    """x⁺ and position of a model of any order, by scipy's own discretisation of its own state space."""
-    a, b, c, d = scipy.signal.tf2ss(model.numerator, model.denominator)
-    balanced, similarity = scipy.linalg.matrix_balance(a, permute=False)
-    b, c = np.linalg.solve(similarity, b), c @ similarity
-    a, b, *_ = scipy.signal.cont2discrete((balanced, b, c, d), period)
-    return a, b[:, 0], c[0]
 
 
 @pytest.mark.parametrize("model", COILS, ids=COIL_NAMES)

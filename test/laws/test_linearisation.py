@@ -120,26 +120,3 @@ def test_plain_python_compiled_loop_batch_and_supervisor_have_the_same_bits(law,
         supervisor.command(float(SINE[k]))
         assert supervisor.sample(float(run.measurement[k]), k + 1) == run.voltage[k]
         assert supervisor.voltage == run.voltage[k]
-
-
-def running(law, **changes):
-    """A supervisor that has moved the valve for a while, the valve's reading, and the sample."""
-    values = controller(controller=law, **changes)
-    supervisor = Supervisor()
-    supervisor.apply(values, build.law_params(values))
-    run = offline.simulate(values, valve(), SINE[:500], compiled=False)
-    for k, reading in enumerate(run.measurement.tolist()):
-        supervisor.command(float(SINE[k]))
-        supervisor.sample(reading, k + 1)
-    return supervisor, values, run.measurement[-1], len(run.measurement)
-
-
-@pytest.mark.parametrize("law", ["pid", "dcarc"])
-@pytest.mark.parametrize("after", [LOPSIDED, {"linearisation__enabled": False}])
-def test_a_new_curve_while_running_takes_over_without_a_bump(law, after):
-    supervisor, values, reading, k = running(law, **SIDES)
-    before = supervisor.voltage
-    changed = {**values, **controller(**after), "controller": law}
-    supervisor.apply(changed, build.law_params(changed))
-    assert supervisor.voltage == pytest.approx(before, abs=1e-12)
-    assert supervisor.sample(float(reading), k + 1) == pytest.approx(before, abs=1e-9)

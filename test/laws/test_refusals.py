@@ -64,6 +64,6 @@ def test_a_controller_is_not_built(changes, said):
      (((1.0, 0.0), (1.0, 40.0, 1200.0)), 10.0, "the model has a zero at 0 rad/s, so its static gain")],
 )  # fmt: skip
 def test_a_compensator_is_not_designed(model, bandwidth, said):
-    with pytest.raises(design.DesignError) as error:
+    with pytest.raises(ParameterError) as error:
         design.pole_zero_compensator(TransferFunction(*model), bandwidth)
     assert said in str(error.value)

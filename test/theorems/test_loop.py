@@ -60,9 +60,9 @@ def test_what_the_observer_shows_of_a_disturbance_is_the_law_s_own_answer():
         estimate = dcarc.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0)).estimate
         seen = np.zeros(n)
         for k in range(n):
-            shown = dcarc.past_dot(p.model.shown, estimate.past)
+            shown = dcarc.parts.past_dot(p.model.shown, estimate.past)
             corrected = dcarc.corrected(p, estimate, float(own.c[0] @ x) - shown)
-            voltage = -dcarc.dot(p.feedback, corrected.state) - corrected.disturbance
+            voltage = -dcarc.parts.dot(p.feedback, corrected.state) - corrected.disturbance
             estimate = dcarc.predicted(p, corrected, voltage, 0.0)
             seen[k] = corrected.disturbance
             x = own.a[0] @ x + own.b[0] * (voltage + (rotation**k).real)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from research.theorems import robust
-from valve_control.control.laws.projection import Theta
 
 VALVES = 60
 
@@ -14,17 +13,6 @@ VALVES = 60
 @pytest.fixture(scope="module")
 def experiment():
     return robust.experiment(VALVES, 3, ["arc", "oarc"], [1e-3, 1e-4, 5e-5, 2e-5])
-
-
-def rows(law, period, change, valves=VALVES):
-    loop = robust.loop_for(law)
-    out = []
-    for number in range(valves):
-        case = change(robust.draw(3, number))
-        p, s, x1, x2 = robust.LAWS[law].case(case, period)
-        valve = robust.valve_of(case, period)
-        out.append(loop(p, s, case.motion, valve, robust.Spool(x1, x2), round(0.2 / period)))
-    return np.array(out)
 
 
 @pytest.mark.parametrize("law", ["arc", "oarc"])
@@ -39,15 +27,3 @@ def test_no_valve_is_above_its_bound_at_short_sample_periods(experiment, law, pe
 @pytest.mark.parametrize("law", ["arc", "oarc"])
 def test_sampling_error_is_of_order_of_the_period(experiment, law):
     assert 0.85 < experiment.scaling(law).order < 1.25
-
-
-@pytest.mark.parametrize("law", ["arc", "oarc"])
-def test_valves_outside_their_ranges_do_break_the_bound(law):
-    """Eight spans beyond the assumed ranges, which the law does not know."""
-
-    def outside(case):
-        away = [t + 8.0 * (hi - lo) for t, lo, hi in zip(case.truth, case.lower, case.upper, strict=True)]
-        return case._replace(truth=Theta(*away))
-
-    result = rows(law, 1e-4, outside, 20)
-    assert np.mean(result[:, 0] > 1.0) > 0.3

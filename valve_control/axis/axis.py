@@ -14,8 +14,6 @@ linear system is solved by hand: the three pressures first, then the velocity.
 import math
 from typing import NamedTuple
 
-from valve_control.axis.orifice import flow, opening
-
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)  # of ROS2, L-stable
 
 
@@ -104,6 +102,13 @@ class Pressures(NamedTuple):
     supply: float
 
 
+class Flow(NamedTuple):
+    """Flow through an orifice and what a small change of the pressure difference adds to it."""
+
+    flow: float  # m³/s
+    conductance: float  # m³/s/Pa  derivative of the flow with respect to the pressure difference
+
+
 class Flows(NamedTuple):
     """Flows [m³/s] over the edges, through the relief valve, and net into the three rooms."""
 
@@ -117,36 +122,26 @@ class Flows(NamedTuple):
     into_supply: float
 
 
-class Matrix(NamedTuple):
-    """I - γhJ with the rows of rooms and piston, decomposed; of one integration step."""
+def flow(coefficient: float, difference: float, laminar: float) -> Flow:
+    """Flow at a pressure ``difference`` [Pa], of its sign; ``coefficient`` in m³/s/√Pa.
 
-    h: float  # s  γh
-    edge_pa: float  # m³/s/Pa  conductances
-    edge_pb: float
-    own_a: float  # all that leads out of the room
-    own_b: float
-    own_supply: float
-    leakage: float
-    relief_root: float  # √Pa  flow per opening of the relief valve
-    relief_gain: float  # m³/s/√Pa/Pa
-    relief_lag: float  # -  1 + h/τ
-    push_a: float  # m²
-    push_b: float  # m²
-    friction_gain: float  # -
-    friction_lag: float  # -
-    inverse_mass: float  # 1/kg, 0: the piston rests at a stop
-    # L·D·Lᵀ of the system of the three pressures
-    d_a: float
-    l_b: float
-    d_b: float
-    l_supply_a: float
-    l_supply_b: float
-    d_supply: float
-    # pressures per velocity, and the piston's pivot
-    per_a: float  # Pa·s/m
-    per_b: float
-    per_supply: float
-    pivot: float
+    q = k·Δp/(Δp² + Δp_l²)^¼: k·√Δp beyond the ``laminar`` pressure Δp_l [Pa], k·Δp/√Δp_l below it, smooth
+    in between, so that the derivative at 0 is finite (Merritt 1967, section 3.3: at small Reynolds numbers
+    the flow through an orifice is laminar).
+    """
+    squares = difference * difference + laminar * laminar
+    root = math.sqrt(squares)
+    scale = coefficient / math.sqrt(root)
+    slope = scale * (0.5 * difference * difference + laminar * laminar) / squares
+    return Flow(scale * difference, slope)
+
+
+def opening(spool: float, overlap: float) -> float:
+    """Opening of an edge, 0 to 1, at the ``spool`` position (share of its stroke, positive: towards open).
+
+    ``overlap`` (share of the stroke): dead zone; negative, the edge is open in the middle.
+    """
+    return max(0.0, min(1.0, (spool - overlap) / (1.0 - overlap)))
 
 
 def volumes(c: Cylinder, x: float) -> tuple[float, float]:
@@ -290,11 +285,40 @@ def compliance(p: Params, content: float, volume: float) -> float:
     return 0.25 * total * total / (p.bulk_modulus * volume)
 
 
-def matrix(p: Params, s: State, spool: float, step: float, held: bool) -> Matrix:
-    """Linearise at ``s`` for one integration step of length ``step`` [s] and decompose.
+def is_held(p: Params, s: State) -> bool:
+    """Whether the piston is pressed against a stop."""
+    if 0.0 < s.x < p.cylinder.stroke:
+        return False
+    push = force(p, s, pressures(p, s))
+    if s.x <= 0.0:
+        return s.v <= 0.0 and push <= 0.0
+    return s.v >= 0.0 and push >= 0.0
 
-    Left out are the changes of swelling and of the relief valve's curve: they are small, and the order of the
-    method does not depend on them.
+
+def integrate(p: Params, s: State, step: float, spool: float, spool_after: float) -> State:
+    """State one integration ``step`` [s] later; ``spool`` (share of its stroke) at both its ends.
+
+    A piston that reaches a stop stays there: the impact is plastic. A room that is emptied faster than the
+    step can follow ends empty.
+    """
+    held = is_held(p, s)
+    if held:
+        s = State(s.x, 0.0, s.a, s.b, s.supply, s.relief, s.bristle)
+    s = stages(p, s, step, spool, spool_after, held)
+    x, v = s.x, s.v
+    if x < 0.0:
+        x, v = 0.0, 0.0
+    elif x > p.cylinder.stroke:
+        x, v = p.cylinder.stroke, 0.0
+    relief = max(0.0, min(p.supply.relief_limit, s.relief))
+    return State(x, v, max(s.a, 0.0), max(s.b, 0.0), max(s.supply, 0.0), relief, s.bristle)
+
+
+def stages(p: Params, s: State, step: float, spool: float, spool_after: float, held: bool) -> State:
+    """State after both stages of ROS2, each of which solves (I - γhJ)·k = r by hand.
+
+    Linearised at ``s``. Left out are the changes of swelling and of the relief valve's curve: they are small,
+    and the order of the method does not depend on them.
     """
     c, load, supply = p.cylinder, p.load, p.supply
     now = pressures(p, s)
@@ -342,99 +366,41 @@ def matrix(p: Params, s: State, spool: float, step: float, held: bool) -> Matrix
     resistance = load.damping + h * load.stiffness
     resistance += load.bristle_stiffness * h * friction_gain / friction_lag
     pivot = 1.0 + h * inverse_mass * (resistance - c.area_a * per_a + c.area_b * per_b)
-    return Matrix(
-        h,
-        pa,
-        pb,
-        own_a,
-        own_b,
-        own_supply,
-        c.leakage,
-        relief.flow,
-        gain,
-        relief_lag,
-        push_a,
-        push_b,
-        friction_gain,
-        friction_lag,
-        inverse_mass,
-        d_a,
-        l_b,
-        d_b,
-        l_supply_a,
-        l_supply_b,
-        d_supply,
-        per_a,
-        per_b,
-        per_supply,
-        pivot,
-    )
-
-
-def solve(p: Params, m: Matrix, r: State) -> State:
-    """Solve (I - γhJ)·k = ``r`` with the decomposed matrix."""
-    h = m.h
-    # Right side of the three pressures, with the piston's displacement of this step.
-    relief = r.relief / m.relief_lag
-    r_a = (r.a - m.push_a * r.x) / h
-    r_b = (r.b + m.push_b * r.x) / h
-    r_supply = r.supply / h - m.relief_root * relief
-    y_b = r_b - m.l_b * r_a
-    at_supply = (r_supply - m.l_supply_a * r_a - m.l_supply_b * y_b) / m.d_supply
-    at_b = y_b / m.d_b - m.l_supply_b * at_supply
-    at_a = r_a / m.d_a - m.l_b * at_b - m.l_supply_a * at_supply
-
-    c, load = p.cylinder, p.load
-    rubbing = load.bristle_stiffness * r.bristle / m.friction_lag
-    push = c.area_a * at_a - c.area_b * at_b - load.stiffness * r.x - rubbing
-    v = (r.v + h * m.inverse_mass * push) / m.pivot
-    a = at_a + m.per_a * v
-    b = at_b + m.per_b * v
-    supply = at_supply + m.per_supply * v
-    opened = relief + h * m.relief_gain / m.relief_lag * supply
-    return State(
-        r.x + h * v,
-        v,
-        r.a + h * (m.edge_pa * supply + m.leakage * b - m.own_a * a),
-        r.b + h * (m.edge_pb * supply + m.leakage * a - m.own_b * b),
-        r.supply + h * (m.edge_pa * a + m.edge_pb * b - m.own_supply * supply - m.relief_root * opened),
-        opened,
-        (r.bristle + h * m.friction_gain * v) / m.friction_lag,
-    )
-
-
-def is_held(p: Params, s: State) -> bool:
-    """Whether the piston is pressed against a stop."""
-    if 0.0 < s.x < p.cylinder.stroke:
-        return False
-    push = force(p, s, pressures(p, s))
-    if s.x <= 0.0:
-        return s.v <= 0.0 and push <= 0.0
-    return s.v >= 0.0 and push >= 0.0
-
-
-def integrate(p: Params, s: State, step: float, spool: float, spool_after: float) -> State:
-    """State one integration ``step`` [s] later; ``spool`` (share of its stroke) at both its ends.
-
-    A piston that reaches a stop stays there: the impact is plastic. A room that is emptied faster than the
-    step can follow ends empty.
-    """
-    held = is_held(p, s)
-    if held:
-        s = State(s.x, 0.0, s.a, s.b, s.supply, s.relief, s.bristle)
-    m = matrix(p, s, spool, step, held)
+    # Both stages: the three pressures with the piston's displacement of this step, then the velocity.
     f = rates(p, s, spool, held)
-    first = solve(p, m, scaled(f, step))
-    f = rates(p, combined(s, first, 1.0), spool_after, held)
-    second = solve(p, m, combined(scaled(f, step), first, -2.0))
-    s = combined(combined(s, first, 1.5), second, 0.5)
-    x, v = s.x, s.v
-    if x < 0.0:
-        x, v = 0.0, 0.0
-    elif x > p.cylinder.stroke:
-        x, v = p.cylinder.stroke, 0.0
-    relief = max(0.0, min(p.supply.relief_limit, s.relief))
-    return State(x, v, max(s.a, 0.0), max(s.b, 0.0), max(s.supply, 0.0), relief, s.bristle)
+    r = scaled(f, step)
+    first = second = r
+    for stage in range(2):
+        if stage == 1:
+            f = rates(p, combined(s, first, 1.0), spool_after, held)
+            r = combined(scaled(f, step), first, -2.0)
+        opened = r.relief / relief_lag
+        r_a = (r.a - push_a * r.x) / h
+        r_b = (r.b + push_b * r.x) / h
+        r_supply = r.supply / h - relief.flow * opened
+        y_b = r_b - l_b * r_a
+        at_supply = (r_supply - l_supply_a * r_a - l_supply_b * y_b) / d_supply
+        at_b = y_b / d_b - l_supply_b * at_supply
+        at_a = r_a / d_a - l_b * at_b - l_supply_a * at_supply
+        rubbing = load.bristle_stiffness * r.bristle / friction_lag
+        push = c.area_a * at_a - c.area_b * at_b - load.stiffness * r.x - rubbing
+        v = (r.v + h * inverse_mass * push) / pivot
+        a = at_a + per_a * v
+        b = at_b + per_b * v
+        in_supply = at_supply + per_supply * v
+        opened = opened + h * gain / relief_lag * in_supply
+        second = State(
+            r.x + h * v,
+            v,
+            r.a + h * (pa * in_supply + c.leakage * b - own_a * a),
+            r.b + h * (pb * in_supply + c.leakage * a - own_b * b),
+            r.supply + h * (pa * a + pb * b - own_supply * in_supply - relief.flow * opened),
+            opened,
+            (r.bristle + h * friction_gain * v) / friction_lag,
+        )
+        if stage == 0:
+            first = second
+    return combined(combined(s, first, 1.5), second, 0.5)
 
 
 def scaled(s: State, factor: float) -> State:

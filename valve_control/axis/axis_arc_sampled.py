@@ -94,16 +94,8 @@ def explained(law: axis_arc.Params, t: Theta, velocity: float, force: float) -> 
 def observed(p: Params, s: State, reading: Reading) -> State:
     """State that has taken in a ``reading``; with the first one the axis is at rest there."""
     if s.samples == 0.0:
-        return State(
-            s.theta,
-            1.0,
-            reading.position,
-            0.0,
-            0.0,
-            reading.pressure_a,
-            reading.pressure_b,
-            s.acceleration,
-        )
+        a, b = reading.pressure_a, reading.pressure_b
+        return State(s.theta, 1.0, reading.position, 0.0, 0.0, a, b, s.acceleration)
     m = p.law.model
     a = s.pressure_a + p.smoothing * (reading.pressure_a - s.pressure_a)
     b = s.pressure_b + p.smoothing * (reading.pressure_b - s.pressure_b)
@@ -158,20 +150,9 @@ def step(p: Params, s: State, goal: Goal, reading: Reading) -> tuple[float, Stat
     x = Measured(position, velocity, s.pressure_a, s.pressure_b)
     command, theta, found = axis_arc.step(p.law, s.theta, ahead(p.lead, goal, jerk), jerk, x)
     terms = Terms(goal.position - reading.position, s.velocity, command, found.z2, found.z3, s.unexplained)
-    return (
-        command,
-        State(
-            theta,
-            1.0,
-            s.position,
-            s.velocity,
-            s.unexplained,
-            s.pressure_a,
-            s.pressure_b,
-            goal.acceleration,
-        ),
-        terms,
-    )
+    _, samples, position, velocity, unexplained, a, b, _ = s
+    s = State(theta, samples, position, velocity, unexplained, a, b, goal.acceleration)
+    return command, s, terms
 
 
 def motion(p: Params, s: State, goal: Goal, jerk: float, terms: Terms) -> SpoolReference:
@@ -198,21 +179,9 @@ PARAMETERS: Table = (
     Parameter("axis_arc.k1", 30.0, "1/s", "decay rate of the position error", 0.1, 1e4),
     Parameter("axis_arc.k2", 20.0, "1/s", "decay rate of the velocity error", 0.1, 1e4),
     Parameter("axis_arc.k3", 10.0, "1/s", "decay rate of the load force error", 0.1, 1e4),
+    Parameter("axis_arc.coupling", 0.0, "1/s", "coupling of velocity and force error; 0: natural", 0.0, 1e4),
     Parameter(
-        "axis_arc.coupling",
-        0.0,
-        "1/s",
-        "coupling of velocity and force error; 0: natural frequency",
-        0.0,
-        1e4,
-    ),
-    Parameter(
-        "axis_arc.learning",
-        1.0,
-        "m/s",
-        "velocity error that weighs as an estimate off by its range",
-        1e-6,
-        1e6,
+        "axis_arc.learning", 1.0, "m/s", "velocity error that weighs as an estimate's range", 1e-6, 1e6
     ),
     Parameter(
         "axis_arc.uncertainty", 0.4, "-", "share by which each estimate may leave its initial value", 0.0, 0.9
@@ -222,14 +191,7 @@ PARAMETERS: Table = (
     ),
     Parameter("axis_arc.mass", 0.0, "kg", "initial estimate of the mass; 0: that of the machine", 0.0, 1e7),
     Parameter("axis_arc.bulk_modulus", 0.0, "Pa", "initial bulk modulus; 0: that of the machine", 0.0, 1e11),
-    Parameter(
-        "axis_arc.friction_velocity",
-        0.02,
-        "m/s",
-        "width of the turn of friction over the velocity",
-        1e-5,
-        10.0,
-    ),
+    Parameter("axis_arc.friction_velocity", 0.02, "m/s", "width of the turn of friction", 1e-5, 10.0),
     Parameter(
         "axis_arc.overlap_zone", 0.2, "V", "command beyond the overlap of whole compensation", 1e-6, 100.0
     ),
@@ -300,17 +262,13 @@ def build(values: Values, plant: axis.Params, supply: float) -> Params:
     high = Theta(*(value * (1.0 + share) for value in begin))._replace(force=begin.force + force)
     gamma = Theta(*(((h - q) / of("learning")) ** 2 for q, h in zip(low, high, strict=True)))
     law = axis_arc.Params(
-        k1=of("k1"),
-        k2=of("k2"),
-        k3=of("k3"),
+        **{name: of(name) for name in ("k1", "k2", "k3", "friction_velocity", "overlap_zone")},
         w3=1.0 / (mass * coupling) ** 2,
         gamma=gamma,
         low=low,
         high=high,
-        friction_velocity=of("friction_velocity"),
         full_scale=plant.full_scale,
         overlap=overlap,
-        overlap_zone=of("overlap_zone"),
         limit=limit,
         period=period,
         model=model,

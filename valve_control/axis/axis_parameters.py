@@ -35,7 +35,7 @@ CONSTANT_VOLUME = 1e9  # m³; a supply so large that no flow changes its pressur
 
 def of_node(*parameters: Parameter) -> Table:
     """``parameters`` that only a node reads."""
-    return tuple(p._replace(node_only=True, text=f"{p.text}") for p in parameters)
+    return tuple(p._replace(node_only=True) for p in parameters)
 
 
 AXIS: Table = (
@@ -74,26 +74,14 @@ AXIS: Table = (
     Parameter("spool.flow_pressure", 35e5, "Pa", "pressure difference of spool.flow", 1e3, 1e8),
     Parameter("spool.full_scale", 10.0, "V", "position at which the edges are fully open", 0.01, 100.0),
     Parameter(
-        "spool.overlap",
-        [0.03, 0.03, 0.03, 0.03],
-        "-",
-        "overlap of P-A, P-B, A-T, B-T over full_scale",
-        -0.5,
-        0.9,
-        length=4,
+        "spool.overlap", [0.03] * 4, "-", "overlaps over full_scale: P-A, P-B, A-T, B-T", -0.5, 0.9, length=4
     ),
-    Parameter(
-        "spool.gain", [1.0, 1.0, 1.0, 1.0], "-", "flow of the same edges over spool.flow", 0.0, 10.0, length=4
-    ),
+    Parameter("spool.gain", [1.0] * 4, "-", "flow of the same edges over spool.flow", 0.0, 10.0, length=4),
     Parameter(
         "spool.laminar_pressure", 1e5, "Pa", "pressure difference below which the flow is laminar", 1.0, 1e7
     ),
     Parameter(
-        "supply.kind",
-        "constant",
-        "",
-        "constant pressure, or pump and relief valve",
-        choices=("constant", "pump"),
+        "supply.kind", "constant", "", "constant, or pump and relief valve", choices=("constant", "pump")
     ),
     Parameter(
         "supply.pressure", 140e5, "Pa", "pressure of a constant supply; initial one of a pump's", 1e5, 1e8
@@ -102,14 +90,7 @@ AXIS: Table = (
     Parameter("supply.flow", 1e-3, "m³/s", "flow of the pump", 0.0, 10.0),
     Parameter("supply.leakage", 1e-12, "m³/s/Pa", "leakage of the pump", 0.0, 1e-6),
     Parameter("relief.pressure", 140e5, "Pa", "pressure at which the relief valve begins to open", 1e5, 1e8),
-    Parameter(
-        "relief.spring",
-        1e-8,
-        "m³/s/Pa",
-        "flow per pressure above relief.pressure, by its spring",
-        1e-13,
-        1e-3,
-    ),
+    Parameter("relief.spring", 1e-8, "m³/s/Pa", "flow per pressure above it, by the spring", 1e-13, 1e-3),
     Parameter("relief.flow_force", 1e-8, "m³/s/Pa", "the same by its flow force", 1e-13, 1e-3),
     Parameter("relief.flow", 1e-2, "m³/s", "flow of the fully open relief valve at 70 bar", 1e-9, 10.0),
     Parameter(
@@ -144,7 +125,7 @@ AXIS: Table = (
             "fault.pressure",
             "none",
             "",
-            "injected fault of both pressure sensors",
+            "fault of both sensors",
             choices=("none", "silent", "jump", "not_finite"),
         ),
     ),
@@ -154,11 +135,7 @@ NOMINAL = 70e5  # Pa  pressure difference of relief.flow
 AXIS_CONTROLLER: Table = (
     SAMPLE_PERIOD,
     Parameter(
-        "upper_level",
-        "axis_pid",
-        "",
-        "velocity feedforward and PID, or adaptive robust control (axis_arc)",
-        choices=tuple(upper.LEVELS),
+        "upper_level", "axis_pid", "", "PID with feedforward, or adaptive robust", choices=tuple(upper.LEVELS)
     ),
     *axis_pid.PARAMETERS,
     *axis_arc_sampled.PARAMETERS,
@@ -166,7 +143,7 @@ AXIS_CONTROLLER: Table = (
         "course",
         "point_to_point",
         "",
-        "motion; the first one is limited in jerk",
+        "the first is limited in jerk",
         choices=("point_to_point", "sine", "step"),
     ),
     Parameter("offset", 0.0, "m", "distance of the beginning of the course from start.position", -50.0, 50.0),
@@ -203,14 +180,7 @@ AXIS_CONTROLLER: Table = (
         Parameter(
             "sensor.pressure_high", 4e7, "Pa", "highest pressure that a pressure sensor can show", 1e5, 1e9
         ),
-        Parameter(
-            "sensor.pressure_jump",
-            2e7,
-            "Pa",
-            "change of a pressure between readings that is a jump",
-            1e4,
-            1e9,
-        ),
+        Parameter("sensor.pressure_jump", 2e7, "Pa", "change between readings that is a jump", 1e4, 1e9),
         Parameter("sensor.hold_samples", 3, "", "number of wrong readings in a row that is bridged", 0, 1000),
         Parameter(
             "stop.controller", "controller", "", "valve controller that a stop deactivates (0 V); empty: none"
@@ -265,29 +235,19 @@ def axis_params(values: Values) -> axis.Params:
 
     _refuse_impossible(values)
     constant = word(values, "supply.kind") == "constant"
-    coulomb, ratio = of("load.coulomb"), of("load.static_ratio")
     weight = of("load.mass") * GRAVITY * math.sin(math.radians(of("load.inclination")))
     nominal = of("spool.flow") / math.sqrt(of("spool.flow_pressure"))
     return axis.Params(
         cylinder=axis.Cylinder(
-            area_a=of("cylinder.area_a"),
-            area_b=of("cylinder.area_b"),
-            stroke=of("cylinder.stroke"),
             dead_a=of("cylinder.dead_volume_a"),
             dead_b=of("cylinder.dead_volume_b"),
-            leakage=of("cylinder.leakage"),
-            external_leakage=of("cylinder.external_leakage"),
+            **{p: of(f"cylinder.{p}") for p in ("area_a", "area_b", "stroke", "leakage", "external_leakage")},
         ),
         load=axis.Load(
-            mass=of("load.mass"),
-            damping=of("load.damping"),
-            stiffness=of("load.stiffness"),
-            rest=of("load.rest"),
             force=of("load.force") - weight,
-            coulomb=coulomb,
-            static_ratio=ratio,
-            stribeck_velocity=of("load.stribeck_velocity"),
-            bristle_stiffness=coulomb / of("load.presliding"),
+            bristle_stiffness=of("load.coulomb") / of("load.presliding"),
+            **{p: of(f"load.{p}") for p in ("mass", "damping", "stiffness", "rest", "coulomb")},
+            **{p: of(f"load.{p}") for p in ("static_ratio", "stribeck_velocity")},
         ),
         coefficients=axis.Edges(*(nominal * gain for gain in numbers(values, "spool.gain"))),
         overlaps=axis.Edges(*numbers(values, "spool.overlap")),
@@ -396,20 +356,10 @@ def machine_params(axis_values: Values, valve_values: Values) -> machine.Params:
             f"valve is '{word(valve_values, 'valve')}'; the valve of an axis must be "
             f"{one_of(registry.PLANTS['linear'].values)}"
         )
-    return machine.Params(
-        valve=fed,
-        axis=axis_params(axis_values),
-        sensors=sensors(axis_values),
-    )
+    return machine.Params(fed, axis_params(axis_values), sensors(axis_values))
 
 
 def start(p: machine.Params, values: Values) -> machine.State:
     """Machine at rest at start.position with the start's pressures."""
-    at = axis.initial(
-        p.axis,
-        number(values, "start.position"),
-        number(values, "start.pressure_a"),
-        number(values, "start.pressure_b"),
-        number(values, "supply.pressure"),
-    )
-    return machine.begin(p, at)
+    names = ("start.position", "start.pressure_a", "start.pressure_b", "supply.pressure")
+    return machine.begin(p, axis.initial(p.axis, *(number(values, name) for name in names)))

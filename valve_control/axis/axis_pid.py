@@ -138,15 +138,11 @@ def build(values: Values, gain_out: float, gain_in: float) -> Params:
     """Params from checked values; ``gain_out`` and ``gain_in`` [m/s/V] for those that are left at 0."""
     period = number(values, "sample_period")
     return Params(
-        kp=number(values, "kp"),
-        ki=number(values, "ki"),
-        kd=number(values, "kd"),
+        **{name: number(values, name) for name in ("kp", "ki", "kd", "overlap", "overlap_zone")},
         feedforward=number(values, "velocity_feedforward"),
         acceleration_feedforward=number(values, "acceleration_feedforward"),
         gain_out=number(values, "gain_out") or gain_out,
         gain_in=number(values, "gain_in") or gain_in,
-        overlap=number(values, "overlap"),
-        overlap_zone=number(values, "overlap_zone"),
         limit=number(values, "spool_limit"),
         period=period,
         derivative=velocity.design(number(values, "derivative_cutoff"), period),

@@ -8,18 +8,17 @@ point, to the last bit.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import PPoly
 
 from valve_control.arrays import Floats
 from valve_control.axis.course import Goal, MotionLimits, planned
 from valve_control.parameter import ParameterError
 
 MOST = 100_000  # points
-LOOKS = 9  # at each piece of a path, before its extremes
 SLACK = 1e-9  # relative, of a limit
-TINY = 1e-9  # of the largest coefficient of a polynomial
 REST = 1e-6  # m/s  that counts as standstill at the end
 NANO = 1e-9
 
@@ -43,22 +42,24 @@ class PathPoint(NamedTuple):
     time: int  # ns  from the beginning
 
 
-Row = tuple[Sequence[float], Sequence[float], Sequence[float], int]
+def nanoseconds(time: Any) -> int:
+    """Time [ns] of a stamp or duration of ROS."""
+    return int(time.sec * 10**9 + time.nanosec)
 
 
-def points_of(joint: str, joints: Sequence[str], rows: Sequence[Row]) -> list[PathPoint]:
+def points_of(joint: str, joints: Sequence[str], rows: Sequence[Any]) -> list[PathPoint]:
     """Points of a trajectory of ``joints``, as far as they are for ``joint``.
 
-    A row has positions [m], velocities [m/s] and accelerations [m/s²] (or none) of all joints, and the time
-    from the start [ns]. Raises ParameterError.
+    Rows are those of JointTrajectory: positions [m], velocities [m/s], accelerations [m/s²] (or none) of all
+    joints, and the time from the start. Raises ParameterError.
     """
     if joint not in joints:
         named = ", ".join(f"'{name}'" for name in joints) or "no joint"
         raise ParameterError(f"the trajectory is for {named}, not for '{joint}'")
     at = list(joints).index(joint)
     points = []
-    for i, (positions, velocities, accelerations, time) in enumerate(rows):
-        counts = len(positions), len(velocities), len(accelerations)
+    for i, row in enumerate(rows):
+        counts = len(row.positions), len(row.velocities), len(row.accelerations)
         if counts[0] != len(joints) or any(count not in (0, len(joints)) for count in counts[1:]):
             raise ParameterError(
                 f"point {i} of the trajectory has {counts[0]} positions, {counts[1]} velocities and "
@@ -66,10 +67,10 @@ def points_of(joint: str, joints: Sequence[str], rows: Sequence[Row]) -> list[Pa
             )
         points.append(
             PathPoint(
-                positions[at],
-                velocities[at] if counts[1] else None,
-                accelerations[at] if counts[2] else None,
-                time,
+                row.positions[at],
+                row.velocities[at] if counts[1] else None,
+                row.accelerations[at] if counts[2] else None,
+                nanoseconds(row.time_from_start),
             )
         )
     return points
@@ -122,14 +123,6 @@ def _pieces(points: Sequence[PathPoint], times: Floats) -> Floats:
     return pieces
 
 
-def _evaluated(c: Floats, t: Floats | float) -> tuple[Floats, Floats]:
-    """Position and velocity of pieces ``c`` (…, 6) at ``t`` [s] from their beginning."""
-    c0, c1, c2, c3, c4, c5 = np.moveaxis(c, -1, 0)
-    x = c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5))))
-    v = c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5)))
-    return x, v
-
-
 def through(points: Sequence[PathPoint], present: Goal, able: Range) -> Path:
     """Path through the points of a trajectory, from the ``present`` goal if the first is not at time 0.
 
@@ -169,7 +162,7 @@ def through(points: Sequence[PathPoint], present: Goal, able: Range) -> Path:
     times = nanoseconds.astype(np.float64) * NANO
     with np.errstate(over="ignore", invalid="ignore"):
         pieces = _pieces(all_points, times)
-        _check_extremes(pieces, np.diff(times), able)
+        _check_extremes(PPoly(pieces[:, ::-1].T, times), able)
 
     def at(time: int) -> Goal:
         i = int(np.searchsorted(nanoseconds, time, side="right")) - 1
@@ -184,42 +177,16 @@ def through(points: Sequence[PathPoint], present: Goal, able: Range) -> Path:
     return Path(at, int(nanoseconds[-1]), last)
 
 
-def _check_extremes(pieces: Floats, lengths: Floats, able: Range) -> None:
-    """Check the course on its pieces, at its extremes too where it may leave the limits between two looks."""
-    looks = [_evaluated(pieces, share * lengths) for share in np.linspace(0.0, 1.0, LOOKS)]
-    x, v = np.array(looks).transpose(1, 0, 2)
+def _check_extremes(course: PPoly, able: Range) -> None:
+    """Check position and velocity of a ``course`` at its points and at the extremes between them."""
+    shown = []
+    for value, rate in ((course, course.derivative()), (course.derivative(), course.derivative(2))):
+        between = rate.roots(discontinuity=False, extrapolate=False)
+        shown.append(value(np.append(course.x, between[np.isfinite(between)])))
+    x, v = shown
     if not (np.isfinite(x).all() and np.isfinite(v).all()):
         raise ParameterError("the trajectory has numbers that are too large to calculate with")
     _check(float(x.min()), float(x.max()), float(v.min()), float(v.max()), able, "the trajectory")
-    # Off the line between two looks by an eighth of the largest bend times their distance squared, at most.
-    h, (c2, c3, c4, c5) = lengths, np.abs(pieces[:, 2:].T)
-    eighth = 0.125 * (h / (LOOKS - 1)) ** 2
-    off_x = eighth * (2.0 * c2 + h * (6.0 * c3 + h * (12.0 * c4 + h * 20.0 * c5)))
-    off_v = eighth * (6.0 * c3 + h * (24.0 * c4 + h * 60.0 * c5))
-    slack, most = SLACK * (able.high - able.low), 1.0 + SLACK
-    beyond = (x.max(0) + off_x > able.high + slack) | (x.min(0) - off_x < able.low - slack)
-    beyond |= (v.max(0) + off_v > most * able.speed_out) | (v.min(0) - off_v < -most * able.speed_in)
-    c, h = pieces[beyond], h[beyond, None]
-    slope = c[:, 1:] * np.arange(1, 6) * h ** np.arange(5)
-    shares = np.concatenate([_roots(slope), _roots(slope[:, 1:] * np.arange(1, 5))], axis=1)
-    extremes = _evaluated(c[:, None], np.clip(shares, 0.0, 1.0) * h)
-    x, v = (np.append(own, more) for own, more in zip((x, v), extremes, strict=True))
-    _check(float(x.min()), float(x.max()), float(v.min()), float(v.max()), able, "the trajectory")
-
-
-def _roots(rates: Floats) -> Floats:
-    """Real parts (n, k) of the roots of n polynomials (n, k+1), constant first, as eigenvalues.
-
-    A leading coefficient below TINY of the largest is replaced by that: a root between 0 and 1 moves by about
-    as much, and the extreme there by its square.
-    """
-    tiny = TINY * np.max(np.abs(rates), axis=1) + 1e-200
-    leading = np.where(np.abs(rates[:, -1]) > tiny, rates[:, -1], tiny)
-    k = rates.shape[1] - 1
-    companion = np.zeros((len(rates), k, k))
-    companion[:, 1:, :-1] = np.eye(k - 1)
-    companion[:, :, -1] = -rates[:, :-1] / leading[:, None]
-    return np.asarray(np.linalg.eigvals(companion).real, dtype=np.float64)
 
 
 def _check(low: float, high: float, slowest: float, fastest: float, able: Range, what: str) -> None:

@@ -22,6 +22,7 @@ from valve_control.axis import axis_supervisor, path
 from valve_control.axis.axis_parameters import AXIS_CONTROLLER
 from valve_control.axis.course import Goal, MotionLimits
 from valve_control.axis.machine import Reading
+from valve_control.axis.path import nanoseconds
 from valve_control.control.supervision.record import Mode
 from valve_control.nodes.adapter import (
     NEWEST,
@@ -247,7 +248,7 @@ class AxisController(Managed):
         if not self._lockstep:
             self._take_pressures(None)
         self._heard = now
-        stamp = self._stamp = reading.header.stamp.sec * NANO + reading.header.stamp.nanosec
+        stamp = self._stamp = nanoseconds(reading.header.stamp)
         self._watch_at = NEVER if self._lockstep else now + self._timeout
         if self._needs_pressures and not self._lockstep and not self._watch_pressures(now):
             return
@@ -316,7 +317,10 @@ class AxisController(Managed):
             self._use("trajectory", lambda m=message: self._path_through(m))
             worked = True
         for target, _ in self._wanted.take():
-            self._use(f"goal {target:g} m", lambda t=target: (self._path_towards(t), None))
+            self._use(
+                f"goal {target:g} m",
+                lambda t=target: (path.towards(t, self._present(), self._limits, self._able), None),
+            )
             worked = True
         return worked
 
@@ -339,22 +343,9 @@ class AxisController(Managed):
             raise ParameterError("the axis is stopped; ~/reset ends that")
         return goal
 
-    def _path_towards(self, target: float) -> path.Path:
-        return path.towards(target, self._present(), self._limits, self._able)
-
     def _path_through(self, message: JointTrajectory) -> tuple[path.Path, int | None]:
-        stamp = message.header.stamp.sec * NANO + message.header.stamp.nanosec
-        rows = [
-            (
-                p.positions,
-                p.velocities,
-                p.accelerations,
-                p.time_from_start.sec * NANO + p.time_from_start.nanosec,
-            )
-            for p in message.points
-        ]
-        points = path.points_of(word(self._values, "joint"), message.joint_names, rows)
-        at = stamp or None
+        points = path.points_of(word(self._values, "joint"), message.joint_names, message.points)
+        at = nanoseconds(message.header.stamp) or None
         made = path.through(points, self._present(at), self._able)
         return axis_supervisor.joining(self._state, made, at, self._able), at
 

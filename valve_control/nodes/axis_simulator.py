@@ -125,15 +125,9 @@ class AxisSimulator(Worker):
         stroke = self._axis.cylinder.stroke
         if fault == "silent":
             return
-        if fault == "frozen" and self._shown is not None:
-            position = self._shown
-        elif fault == "jump":
-            position += LEAP * stroke
-        elif fault == "out_of_range":
-            position = BEYOND * stroke
-        elif fault == "not_finite":
-            position = math.nan
-        self._shown = position
+        frozen = position if self._shown is None else self._shown
+        wrong = {"jump": position + LEAP * stroke, "out_of_range": BEYOND * stroke, "not_finite": math.nan}
+        self._shown = position = {"frozen": frozen, **wrong}.get(fault, position)
         self._stamp(self._joint, nanoseconds)
         self._joint.position = [position]
         self._joints.publish(self._joint)
@@ -174,13 +168,11 @@ class FeedingValve(ValveSimulator):
 
     def _send(self) -> None:
         # In lockstep time goes with the samples; a sample that is made late has the time at which it was due.
-        time = round(self._samples * self._period * NANO) if self._lockstep else self._due_now()
+        late = max(0.0, monotonic() - self._next)
+        now = int(self.get_clock().now().nanoseconds) - round(late * NANO)
+        time = round(self._samples * self._period * NANO) if self._lockstep else now
         self._row = self._fed.measure(self._params, self._state, time)
         super()._send()
-
-    def _due_now(self) -> int:
-        late = max(0.0, monotonic() - self._next)
-        return int(self.get_clock().now().nanoseconds) - round(late * NANO)
 
     def _noise(self) -> float:
         return float(self._row[0])

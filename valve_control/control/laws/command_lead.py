@@ -12,12 +12,12 @@ the lead that is proportional to it, up to the whole of that error, makes up for
 (docs/explanation/laws/reshaping.md).
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from valve_control.arrays import Floats
+from valve_control.control.compiling import compile_function
 from valve_control.control.laws import reshaping
 from valve_control.control.laws.projection import clip
 from valve_control.control.plant.amplifier import saturate
@@ -99,11 +99,11 @@ def applied(p: Params | None, commands: Floats) -> Floats:
     if p is None or len(commands) == 0:
         return commands
     result = np.empty_like(commands)
-    fill(p, commands.tolist(), result)
+    compile_function(fill)(p, commands, result)
     return result
 
 
-def fill(p: Params, commands: Sequence[float] | Floats, result: Floats) -> None:
+def fill(p: Params, commands: Floats, result: Floats) -> None:
     """Write at least one of the ``commands`` [V] with their lead into ``result``."""
     s = initial(commands[0])
     for k in range(len(commands)):

@@ -2,67 +2,48 @@
 # SPDX-License-Identifier: Apache-2.0
 """Describes the pole-zero compensator (12), (13) or of any design: open loop, the reading is not fed back."""
 
-from valve_control.control.laws import biquads
+from valve_control.control.laws import biquads, design
 from valve_control.control.laws.free import Free
 from valve_control.control.laws.law import Law
 from valve_control.control.plant import models
-from valve_control.parameter import Parameter, ParameterError, Table, Values, number, word
+from valve_control.parameter import Parameter, Table, Values, number, word
 
+PRINTED = {
+    "printed_second_order": design.PRINTED_SECOND_ORDER,
+    "printed_fourth_order": design.PRINTED_FOURTH_ORDER,
+}
 PARAMETERS: Table = (
     Parameter(
         "compensator.design",
         "printed_fourth_order",
         "",
         "printed_second_order: (12), printed_fourth_order: (13), or designed from compensator.model",
-        choices=("printed_second_order", "printed_fourth_order", "designed"),
+        choices=(*PRINTED, "designed"),
     ),
     Parameter(
         "compensator.model",
         "fourth_order",
         "",
-        "valve model that a designed compensator cancels: (2), (3) or custom",
+        "valve model that it cancels: (2), (3) or custom",
         choices=("second_order", "fourth_order", "custom"),
     ),
     Parameter("compensator.bandwidth", 25.0, "Hz", "-3 dB bandwidth of a designed compensator", 0.1, 1e4),
-    Parameter(
-        "compensator.order",
-        0,
-        "",
-        "number of poles of the Bessel filter of a designed compensator; 0: one more than necessary",
-        0,
-        6,
-    ),
-    Parameter(
-        "compensator.cancel_zeros",
-        True,
-        "",
-        "whether a designed compensator also cancels the stable zeros of the model; (13) does not",
-    ),
+    Parameter("compensator.order", 0, "", "poles of the Bessel filter; 0: one more than necessary", 0, 6),
+    Parameter("compensator.cancel_zeros", True, "", "whether it also cancels stable zeros; (13) does not"),
     *models.custom_parameters("compensator."),
 )
 
 
 def build(values: Values) -> biquads.Params:
     """The compensator's Params from the controller's values. Raises ParameterError."""
-    from valve_control.control.laws import design
-
-    chosen = word(values, "compensator.design")
-    period = number(values, "sample_period")
-    try:
-        if chosen == "printed_second_order":
-            transfer_function = design.PRINTED_SECOND_ORDER
-        elif chosen == "printed_fourth_order":
-            transfer_function = design.PRINTED_FOURTH_ORDER
-        else:
-            transfer_function = design.pole_zero_compensator(
-                models.chosen(values, "compensator.model", "compensator."),
-                number(values, "compensator.bandwidth"),
-                bool(values["compensator.cancel_zeros"]),
-                int(number(values, "compensator.order")),
-            )
-        return design.compensator_params(transfer_function, period, number(values, "u_max"))
-    except design.DesignError as error:
-        raise ParameterError(str(error)) from error
+    chosen, period = word(values, "compensator.design"), number(values, "sample_period")
+    transfer_function = PRINTED.get(chosen) or design.pole_zero_compensator(
+        models.chosen(values, "compensator.model", "compensator."),
+        number(values, "compensator.bandwidth"),
+        bool(values["compensator.cancel_zeros"]),
+        int(number(values, "compensator.order")),
+    )
+    return design.compensator_params(transfer_function, period, number(values, "u_max"))
 
 
 LAW = Law(

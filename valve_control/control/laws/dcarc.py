@@ -17,30 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from valve_control.arrays import Floats
-from valve_control.control.laws import dcarc_valve, least_squares, magnet, reshaping
-from valve_control.control.laws.dcarc_parts import (
-    Combination,
-    Course,
-    Equivalent,
-    Inverse,
-    KalmanGains,
-    Model,
-    Move,
-    Past,
-    Rest,
-    Row,
-    Turn,
-    Wave,
-    combined,
-    dot,
-    moved,
-    past_dot,
-    past_plus,
-    plus,
-    scaled,
-    times,
-    turned,
-)
+from valve_control.control.laws import dcarc_parts as parts
+from valve_control.control.laws import least_squares, magnet, reshaping
 from valve_control.control.laws.free import Free
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.least_squares import NOTHING, Weights
@@ -48,6 +26,7 @@ from valve_control.control.laws.projection import clip
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant import models
 from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.models import Scale, TransferFunction
 from valve_control.parameter import Parameter, ParameterError, Table, Values, defaults, number, numbers
 
 WEIGHTS = (
@@ -78,18 +57,18 @@ class Bristles(NamedTuple):
 class Params(NamedTuple):
     """Constants of the law."""
 
-    model: Model
-    kalman: KalmanGains
-    turn: Turn
-    feedback: Row  # K of LQR, on the state when the voltage begins to act
-    waiting: Past  # the same on voltages that have not acted yet
+    model: parts.Model
+    kalman: parts.KalmanGains
+    turn: parts.Turn
+    feedback: parts.Row  # K of LQR, on the state when the voltage begins to act
+    waiting: parts.Past  # the same on voltages that have not acted yet
     unexplained: float  # the same on the disturbance
-    wanted: Combination  # K·x_r
-    full: Move  # over one period
-    half: Move  # over half a period
-    model_voltage: Combination  # u_r
-    standing: Rest  # for each 1 V
-    moving: Rest  # for each 1 V/s
+    wanted: parts.Combination  # K·x_r
+    full: parts.Move  # over one period
+    half: parts.Move  # over half a period
+    model_voltage: parts.Combination  # u_r
+    standing: parts.Rest  # for each 1 V
+    moving: parts.Rest  # for each 1 V/s
     presliding: Bristles  # V
     standstill_rate: float  # V/s
     jitter: float  # V/s    mean speed at which noise shakes the spool
@@ -106,7 +85,7 @@ class Params(NamedTuple):
     assumed: Weights  # variances of the initial weights from which the valve has left what is assumed
     assumed_variance: float  # V²     likewise of what the weights cannot explain
     magnet: magnet.Params
-    equivalent: Equivalent
+    equivalent: parts.Equivalent
     u_max: float  # V
     period: float  # s
     reshaping: reshaping.Params
@@ -115,11 +94,11 @@ class Params(NamedTuple):
 class Estimate(NamedTuple):
     """What the observer knows: state of the model, disturbance and past positions."""
 
-    state: Row  # position [V], velocity [V/s] and up to four inner states
+    state: parts.Row  # position [V], velocity [V/s] and up to four inner states
     disturbance: float  # V  at the input, without what the compensation makes good
-    past: Past  # V
-    held: Past  # V  voltages of the samples before, on the model
-    hum: Wave
+    past: parts.Past  # V
+    held: parts.Past  # V  voltages of the samples before, on the model
+    hum: parts.Wave
 
 
 class Fit(NamedTuple):
@@ -144,7 +123,7 @@ class State(NamedTuple):
     reference: reshaping.State
     smooth: float  # V    the reference behind the filter that gives it a third derivative
     rate_before: float  # V/s  rate of the latter a sample ago
-    inverse: Inverse
+    inverse: parts.Inverse
     bristles: Bristles
     estimate: Estimate  # predicted for this sample
     fit: Fit
@@ -195,11 +174,11 @@ def corrected(p: Params, e: Estimate, innovation: float) -> Estimate:
     """Estimate with the reading taken in, which is ``innovation`` [V] off what was predicted."""
     g, hum = p.kalman, e.hum
     if p.turn.on > 0.0:
-        hum = Wave(hum.shown + g.hum.shown * innovation, hum.ahead + g.hum.ahead * innovation)
+        hum = parts.Wave(hum.shown + g.hum.shown * innovation, hum.ahead + g.hum.ahead * innovation)
     return Estimate(
-        plus(e.state, g.state, innovation),
+        parts.plus(e.state, g.state, innovation),
         e.disturbance + g.disturbance * innovation,
-        past_plus(e.past, g.past, innovation),
+        parts.past_plus(e.past, g.past, innovation),
         e.held,
         hum,
     )
@@ -213,33 +192,20 @@ def predicted(p: Params, e: Estimate, voltage: float, explained: float) -> Estim
     m, x, d = p.model, e.state, e.disturbance
     acting = voltage
     if m.waits > 0.0:
-        acting = m.direct * voltage + past_dot(m.acting, e.held)
+        acting = m.direct * voltage + parts.past_dot(m.acting, e.held)
     u = acting + d
-    following = Estimate(
-        plus(plus(times(m, x), m.input, u), m.force, d),
-        d + explained,
-        Past(
-            dot(m.passing, x) + m.passing_input * u + m.passing_force * d,
-            e.past.first,
-            e.past.second,
-            e.past.third,
-        ),
-        Past(voltage, e.held.first, e.held.second, e.held.third),
-        turned(p.turn, e.hum) if p.turn.on > 0.0 else e.hum,
-    )
+    state = parts.plus(parts.plus(parts.times(m, x), m.input, u), m.force, d)
+    first = parts.dot(m.passing, x) + m.passing_input * u + m.passing_force * d
     if m.waits > 0.0:
-        return begun(m, following, past_dot(m.leaving, e.held))
-    return following
-
-
-def begun(m: Model, e: Estimate, voltage: float) -> Estimate:
-    """Estimate ``e`` with the ``voltage`` [V] that acts at the beginning of the period."""
+        leaving = parts.past_dot(m.leaving, e.held)  # acts at the beginning of the period
+        state = parts.plus(state, m.early, leaving)
+        first = first + m.passing_early * leaving
     return Estimate(
-        plus(e.state, m.early, voltage),
-        e.disturbance,
-        Past(e.past.first + m.passing_early * voltage, e.past.second, e.past.third, e.past.fourth),
-        e.held,
-        e.hum,
+        state,
+        d + explained,
+        parts.Past(first, e.past.first, e.past.second, e.past.third),
+        parts.Past(voltage, e.held.first, e.held.second, e.held.third),
+        parts.turned(p.turn, e.hum) if p.turn.on > 0.0 else e.hum,
     )
 
 
@@ -260,10 +226,10 @@ def desired(p: Params, s: State, accel: float) -> Desired:
     """
     reference, rate, accel = reshaping.smoothed(p.reshaping, s.reference, accel, s.smooth)
     before = (rate - s.rate_before) / p.period
-    middle = Course(
+    middle = parts.Course(
         reference + 0.5 * p.period * rate, rate, 0.5 * (accel + before), (accel - before) / p.period
     )
-    voltage = combined(p.model_voltage, moved(p.half, s.inverse, reference, rate), middle)
+    voltage = parts.combined(p.model_voltage, parts.moved(p.half, s.inverse, reference, rate), middle)
     way, path = rate * p.period, math.sqrt(rate * rate + p.jitter * p.jitter) * p.period
     bristles = Bristles(
         dragged(s.bristles.first, way / p.presliding.first, path / p.presliding.first),
@@ -310,18 +276,18 @@ def desired(p: Params, s: State, accel: float) -> Desired:
     return Desired(fitted, compensated, bristles, force_rate, extra)
 
 
-def motion(p: Params, s: State) -> float:
-    """Whether the reference moves at the next sample, or has just come to rest: 1.0, going to 0.0.
+def fitted(p: Params, s: State, force: Weights, variance: Weights) -> Fit:
+    """What the fit has at the next sample, with the regressor ``force`` of this one.
 
     At rest all regressors are constant, and nothing tells one weight from another.
     """
     share = s.reference.rate / p.standstill_rate
-    return max(p.calm * s.fit.moving, share * share / (1.0 + share * share))
-
-
-def path_left(p: Params, s: State) -> float:
-    """Path [V] of the reference that is left, at the next sample, until the weights adapt."""
-    return max(s.fit.path_left - abs(s.reference.rate) * p.period, 0.0)
+    return Fit(
+        least_squares.lagged(s.fit.regressor, force, p.lag_share),
+        variance,
+        max(p.calm * s.fit.moving, share * share / (1.0 + share * share)),
+        max(s.fit.path_left - abs(s.reference.rate) * p.period, 0.0),
+    )
 
 
 def weighed(p: Params, s: State, left: float) -> Burden:
@@ -346,17 +312,18 @@ def initial(p: Params, start: Start) -> State:
     ``start`` differs by from that of the model, and from the compensation, is its disturbance.
     """
     v, t, ages = start.velocity, p.theta_initial, p.model.ages
-    position = start.measurement + v * past_dot(p.model.shown, ages)
+    position = start.measurement + v * parts.past_dot(p.model.shown, ages)
     s, m = p.standing, p.moving
-    state = plus(scaled(s.state, position), m.state, v)
-    past = past_plus(Past(position, position, position, position), ages, -v)
+    state = parts.plus(parts.scaled(s.state, position), m.state, v)
+    past = parts.past_plus(parts.Past(position, position, position, position), ages, -v)
     reference, rate = start.reference, start.reference_rate
-    inverse = Inverse(
+    inverse = parts.Inverse(
         s.inverse.zeta * reference + m.inverse.zeta * rate,
         s.inverse.rate * reference + m.inverse.rate * rate,
         s.inverse.accel * reference + m.inverse.accel * rate,
         s.inverse.jerk * reference + m.inverse.jerk * rate,
     )
+    force = parts.combined(p.model_voltage, inverse, parts.Course(reference, rate, 0.0, 0.0))
     others = t.flow * reference + t.offset + t.damping * rate
     sent = (start.voltage - others) / (1.0 + t.gain)
     disturbance = s.voltage * position + m.voltage * v - sent
@@ -366,19 +333,12 @@ def initial(p: Params, start: Start) -> State:
         rate,
         inverse,
         Bristles(0.0, 0.0, 0.0),
-        Estimate(state, disturbance, past, Past(sent, sent, sent, sent), Wave(0.0, 0.0)),
+        Estimate(state, disturbance, past, parts.Past(sent, sent, sent, sent), parts.Wave(0.0, 0.0)),
         Fit(NOTHING, p.prior, 0.0, p.learning_path),
         Burden(0.0, p.fit_variance),
         t,
-        _started(p, inverse, reference, rate),
+        magnet.State(force, 0.0, force, 0.0, p.magnet.initial, magnet.NONE, p.magnet.prior),
     )
-
-
-def _started(p: Params, inverse: Inverse, reference: float, rate: float) -> magnet.State:
-    """The magnet in a steady motion of the reference, with its initial weights."""
-    m = p.magnet
-    force = combined(p.model_voltage, inverse, Course(reference, rate, 0.0, 0.0))
-    return magnet.State(force, 0.0, force, 0.0, m.initial, magnet.NONE, m.prior)
 
 
 def compensated(p: Params, s: State, d: Desired) -> float:
@@ -432,7 +392,7 @@ def step(
     phi = d.voltage
 
     innovation = (
-        measurement - p.model.present * s.estimate.state.x0 - past_dot(p.model.shown, s.estimate.past)
+        measurement - p.model.present * s.estimate.state.x0 - parts.past_dot(p.model.shown, s.estimate.past)
     )
     if p.turn.on > 0.0:
         innovation -= s.estimate.hum.shown
@@ -440,11 +400,11 @@ def step(
 
     scale = 1.0 + s.theta.gain
     others = compensated(p, s, d)
-    before = Course(reference, 0.5 * (rate + s.rate_before), (rate - s.rate_before) / p.period, 0.0)
-    aim = combined(p.wanted, s.inverse, before)
-    feedback = aim - dot(p.feedback, estimate.state)
+    before = parts.Course(reference, 0.5 * (rate + s.rate_before), (rate - s.rate_before) / p.period, 0.0)
+    aim = parts.combined(p.wanted, s.inverse, before)
+    feedback = aim - parts.dot(p.feedback, estimate.state)
     if p.model.waits > 0.0:
-        feedback -= past_dot(p.waiting, estimate.held) + p.unexplained * estimate.disturbance
+        feedback -= parts.past_dot(p.waiting, estimate.held) + p.unexplained * estimate.disturbance
     unsaturated = scale * (phi.gain + feedback - estimate.disturbance) + others
     wanted = unsaturated + offset
     voltage = saturate(wanted, p.u_max)
@@ -471,10 +431,10 @@ def step(
         reshaping.advance(p.reshaping, s.reference, shaping),
         reference + rate * p.period,
         rate,
-        moved(p.full, s.inverse, reference, rate),
+        parts.moved(p.full, s.inverse, reference, rate),
         d.bristles,
         predicted(p, estimate, (voltage - others) / scale, explained),
-        Fit(least_squares.lagged(delayed, d.force, p.lag_share), variance, motion(p, s), path_left(p, s)),
+        fitted(p, s, d.force, variance),
         burden,
         theta,
         extra,
@@ -521,15 +481,10 @@ def hold(p: Params, s: State, command: float, measurement: float, voltage: float
         reshaping.advance(p.reshaping, s.reference, shaping),
         reference + rate * p.period,
         rate,
-        moved(p.full, s.inverse, reference, rate),
+        parts.moved(p.full, s.inverse, reference, rate),
         d.bristles,
         predicted(p, s.estimate, (voltage - others) / (1.0 + s.theta.gain), 0.0),
-        Fit(
-            least_squares.lagged(s.fit.regressor, d.force, p.lag_share),
-            s.fit.variance,
-            motion(p, s),
-            path_left(p, s),
-        ),
+        fitted(p, s, d.force, s.fit.variance),
         s.burden,
         s.theta,
         advanced(p, s.magnet, d, 0.0, 0.0, 0.0),
@@ -551,98 +506,33 @@ PARAMETERS: Table = (
     ),
     *models.custom_parameters("dcarc."),
     Parameter(
-        "dcarc.smoothing",
-        0.001,
-        "s",
-        "time constant of a filter behind (8), which gives the third derivative of the reference for a "
-        "model with three more poles than zeros; without effect on other models",
-        1e-5,
-        0.1,
+        "dcarc.smoothing", 0.001, "s", "filter behind (8) for a third derivative, with a coil", 1e-5, 0.1
+    ),
+    Parameter("dcarc.coil", 0.0, "s", "lag of the force behind the voltage, a pole; 0.0: none", 0.0, 0.1),
+    Parameter(
+        "dcarc.hysteresis", 0.0, "V", "half width of the hysteresis, initial weight; 0.0: none", 0.0, 10.0
     ),
     Parameter(
-        "dcarc.coil",
-        0.0,
-        "s",
-        "time constant of the lag of the force behind the voltage, a pole of a model with three more "
-        "poles than zeros; the disturbance is then a force, and the compensation leads by this time; "
-        "0.0: none",
-        0.0,
-        0.1,
-    ),
-    Parameter(
-        "dcarc.hysteresis",
-        0.0,
-        "V",
-        "half width of the magnet's hysteresis, initial weight of its term; 0.0: no such term",
-        0.0,
-        10.0,
-    ),
-    Parameter(
-        "dcarc.sides",
-        0.0,
-        "-",
-        "expected relative difference of the gains of two solenoids: standard deviation of the weight of "
-        "the positive part of the force; 0.0: no such term",
-        0.0,
-        1.0,
+        "dcarc.sides", 0.0, "-", "expected difference of the gains of two solenoids; 0.0: none", 0.0, 1.0
     ),
     Parameter("dcarc.lvdt_noise", 0.0056, "V", "standard deviation of the LVDT's noise", 1e-6, 10.0),
     Parameter("dcarc.lvdt_resolution", 0.0037, "V", "step of the LVDT's converter", 0.0, 10.0),
     Parameter("dcarc.delay", 0.0, "s", "dead time of LVDT and bus, at most 4 sample periods", 0.0, 0.4),
     Parameter(
-        "dcarc.actuator_delay",
-        0.0,
-        "s",
-        "dead time of bus and amplifier before the valve, at most 4 sample periods",
-        0.0,
-        0.4,
+        "dcarc.actuator_delay", 0.0, "s", "dead time before the valve, at most 4 sample periods", 0.0, 0.4
     ),
     Parameter(
-        "dcarc.hum",
-        0.0,
-        "Hz",
-        "frequency of a hum in the reading, such as 50 or 60 Hz, that the Kalman filter separates from "
-        "motion; at least 40 Hz and below half of the sample rate; 0.0: none",
-        0.0,
-        1000.0,
+        "dcarc.hum", 0.0, "Hz", "hum in the reading that is no motion, such as 50; 0.0: none", 0.0, 1000.0
     ),
-    Parameter(
-        "dcarc.input_noise",
-        1.2,
-        "V",
-        "standard deviation of the input noise per sample, for the Kalman filter",
-        0.0,
-        1e3,
-    ),
-    Parameter(
-        "dcarc.disturbance_rate",
-        6.0,
-        "V/√s",
-        "intensity of the random walk of the input disturbance, for the Kalman filter",
-        1e-3,
-        1e4,
-    ),
+    Parameter("dcarc.input_noise", 1.2, "V", "input noise of a sample, assumed", 0.0, 1e3),
+    Parameter("dcarc.disturbance_rate", 6.0, "V/√s", "random walk of the disturbance, assumed", 1e-3, 1e4),
     Parameter(
         "dcarc.voltage_weight", 0.17, "V²/V²", "weight of the voltage against the error in LQR", 1e-9, 1e6
     ),
     Parameter(
-        "dcarc.presliding",
-        [0.007, 0.018, 0.044],
-        "V",
-        "presliding of the three bristles that the reference drags",
-        1e-6,
-        10.0,
-        length=3,
+        "dcarc.presliding", [0.007, 0.018, 0.044], "V", "presliding of three bristles", 1e-6, 10.0, length=3
     ),
-    Parameter(
-        "dcarc.standstill_rate",
-        0.32,
-        "V/s",
-        "rate of the reference at which the standstill term has half of its value; well below it the weights "
-        "do not adapt",
-        1e-6,
-        1e4,
-    ),
+    Parameter("dcarc.standstill_rate", 0.32, "V/s", "rate at which this term has half its value", 1e-6, 1e4),
     _row("initial", [0.0] * 9, "initial weights of the compensation, setting which restarts them", -1e3),
     _row(
         "min", [-0.4, -3.0, -3.0, -3.0, -3.0, -1.0, -1.0, -0.03, -0.0003], "lower bounds of the weights", -1e3
@@ -655,32 +545,11 @@ PARAMETERS: Table = (
         "assumption monitor uses at least the defaults",
         0.0,
     ),
+    Parameter("dcarc.fit_noise", 1.2, "V", "noise in the fit; a larger one adapts more slowly", 1e-4, 1e3),
     Parameter(
-        "dcarc.fit_noise",
-        1.2,
-        "V",
-        "assumed noise of the estimated disturbance in the fit of the weights, standard deviation; a "
-        "larger one adapts more slowly",
-        1e-4,
-        1e3,
+        "dcarc.forgetting", 0.2, "1/s", "rate at which variances return to initial; 0.0: never", 0.0, 100.0
     ),
-    Parameter(
-        "dcarc.forgetting",
-        0.2,
-        "1/s",
-        "rate at which the variances of the weights return to their initial values; 0.0: never",
-        0.0,
-        100.0,
-    ),
-    Parameter(
-        "dcarc.learning_path",
-        0.0,
-        "V",
-        "after a start the weights rest until the reference has travelled this path, because friction that "
-        "they do not know may hold the spool off its command; 0.0: they adapt at once",
-        0.0,
-        1e3,
-    ),
+    Parameter("dcarc.learning_path", 0.0, "V", "path of the reference until which weights rest", 0.0, 1e3),
 )
 
 
@@ -747,11 +616,8 @@ def build(values: Values) -> Params:
     noise = number(values, "dcarc.fit_noise")
     assumed, assumed_noise = _assumed(spread, noise)
     valve_model = models.chosen(values, "dcarc.model", "dcarc.")
-    try:
-        given = {argument: number(values, f"dcarc.{name}") for argument, name in DESIGNED.items()}
-        made = dcarc_design.design(valve_model, period, **given)
-    except dcarc_design.DesignError as error:
-        raise ParameterError(str(error)) from error
+    given = {argument: number(values, f"dcarc.{name}") for argument, name in DESIGNED.items()}
+    made = dcarc_design.design(valve_model, period, **given)
     return Params(
         **made,
         presliding=Bristles(*numbers(values, "dcarc.presliding")),
@@ -830,6 +696,70 @@ def without_adaptation(p: Params, s: State) -> tuple[Params, State]:
     )
 
 
+# Gains to search from. With three more poles than zeros hardly any gains in the ranges keep the margins. LQR
+# and Kalman filter are designed for a few bandwidths, from loops that are tight on a valve that is known well
+# to loops that bear another gain and speed.
+PRESLIDINGS = (0.4, 1.0, 2.5)  # of the three bristles over that of the valve
+LOOPS = ((0.05, 4.0), (0.15, 2.0), (0.5, 4.0), (0.5, 2.0))  # weight at the gain of the D3FXE, V/√s
+INPUT_NOISE, FIT_NOISE, FORGETTING = 0.5, 0.4, 0.05  # V, V, 1/s
+RUBBING, LEAST = 0.3, 0.1  # of the friction that is known, and V: spread of the weights of bristles
+OTHERS = (0.1, 0.1, 0.2, 0.0, 0.0)  # of gain, and of flow force, offset, damping and inertia
+
+
+def of_model(model: TransferFunction, period: float) -> TransferFunction:
+    """The ``model`` of a valve as the law takes it at ``period`` [s]."""
+    from valve_control.control.laws import dcarc_design  # scipy.linalg takes a while
+
+    return dcarc_design.without_fast_zero(model, period)
+
+
+def of_plant(values: Values, plant: Values) -> Values:
+    """Coil, play, friction and unequal gains of a simulated ``plant`` with solenoids; {}: it has none.
+
+    Friction and offset are those of the law's model: voltages at its input, whose gain is the mean of both
+    sides (``solenoid_valve.transfer``). ``values``: of the controller.
+    """
+    if plant["valve"] != "solenoid":
+        return {}
+    positive, negative = number(plant, "solenoid.positive"), number(plant, "solenoid.negative")
+    side = 0.5 * (positive + negative)  # force per voltage
+    weights = Weights(*numbers(values, "dcarc.theta_initial"))._replace(
+        bristle2=number(plant, "friction.coulomb") / side,
+        offset=-number(plant, "disturbance.offset") / side,
+    )
+    low, high = (numbers(values, f"dcarc.theta_{end}") for end in ("min", "max"))
+    made: Values = {
+        "dcarc.coil": number(plant, "solenoid.coil"),
+        "dcarc.hysteresis": 0.5 * number(plant, "solenoid.hysteresis"),
+        "dcarc.sides": min(abs(positive / negative - 1.0), 1.0),
+        "dcarc.actuator_delay": number(plant, "solenoid.dead_time"),
+        "dcarc.delay": number(plant, "lvdt.delay"),
+        "dcarc.theta_initial": [
+            min(max(w, least), most) for w, least, most in zip(weights, low, high, strict=True)
+        ],
+    }
+    if number(plant, "friction.presliding") > 0.0:
+        made["dcarc.presliding"] = [share * number(plant, "friction.presliding") for share in PRESLIDINGS]
+    return made
+
+
+def starts(values: Values, scale: Scale) -> list[Values]:
+    """Gains to begin a search with, on a valve of this ``scale``; none with two more poles than zeros."""
+    if _smoothing(values) == 0.0:
+        return []
+    close = max(LEAST, RUBBING * Weights(*numbers(values, "dcarc.theta_initial")).bristle2)
+    common: Values = {
+        "dcarc.input_noise": INPUT_NOISE,
+        "dcarc.fit_noise": FIT_NOISE,
+        "dcarc.forgetting": FORGETTING,
+        "dcarc.theta_spread": [OTHERS[0], *([close] * 4), *OTHERS[1:]],
+    }
+    return [
+        {**common, "dcarc.voltage_weight": weight * scale.gain**2, "dcarc.disturbance_rate": rate}
+        for weight, rate in LOOPS
+    ]
+
+
 LAW = Law(
     name="dcarc",
     text="desired compensation, Kalman observer and LQR",
@@ -880,8 +810,8 @@ LAW = Law(
         Free("dcarc.theta_spread[8]", 1e-6, 3e-4, powers=(-2, -1)),
     ),
     lag=lag,
-    of_model=dcarc_valve.of_model,
-    of_plant=dcarc_valve.of_plant,
-    starts=dcarc_valve.starts,
+    of_model=of_model,
+    of_plant=of_plant,
+    starts=starts,
     remedy="shorten sample_period, or raise dcarc.voltage_weight or lower dcarc.disturbance_rate",
 )

@@ -7,27 +7,17 @@ The derivation is in docs/explanation/laws/dcarc.md.
 
 import functools
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
 
 from valve_control.arrays import Floats
-from valve_control.control.laws.dcarc_parts import (
-    Combination,
-    Equivalent,
-    Inverse,
-    KalmanGains,
-    Model,
-    Move,
-    Past,
-    Rest,
-    Row,
-    Turn,
-    Wave,
-)
+from valve_control.control.laws import dcarc_parts as parts
 from valve_control.control.plant.models import TransferFunction, slow_motion
 from valve_control.control.plant.valve import observability_form
+from valve_control.parameter import ParameterError
 
 MOST_DELAY = 4  # sample periods
 MOST_POLES = 6
@@ -41,10 +31,6 @@ LEAST_DAMPING = 0.1  # -  of these zeros
 LEAST_HUM = 40.0  # Hz  below it the observer would take motion for hum
 FASTEST_ZERO = 1.5  # over the sample period, from which on a real zero is taken out of an identified model
 HUM_WIDTH = 1.0  # Hz  on both sides of a hum's frequency, within which the observer takes it for hum
-
-
-class DesignError(ValueError):
-    """A law that cannot be designed as asked; the message is one sentence."""
 
 
 class Observed(NamedTuple):
@@ -72,16 +58,6 @@ class Inverted(NamedTuple):
     rate: Floats  # of the inner states, m×(m + e + 1)
     voltage: Floats  # u_r
     state: Floats  # x_r, n×(m + e + 1)
-
-
-class Reference(NamedTuple):
-    """What of a design follows from the inverse of the model alone."""
-
-    of: Inverted
-    full: Move
-    half: Move
-    standing: Rest
-    moving: Rest
 
 
 def sampled(a: Floats, b: Floats, period: float, scale: Floats) -> tuple[Floats, Floats]:
@@ -144,12 +120,12 @@ def scale_of(model: TransferFunction) -> Floats:
 
 
 def check(model: TransferFunction) -> None:
-    """Raise DesignError for a model that the law does not take, or that cannot be inverted."""
+    """Raise ParameterError for a model that the law does not take, or that cannot be inverted."""
     numerator = np.trim_zeros(np.asarray(model.numerator, dtype=float), "f")
     denominator = np.trim_zeros(np.asarray(model.denominator, dtype=float), "f")
     order, zeros = len(denominator) - 1, len(numerator) - 1
     if not EXCESS[0] <= order <= MOST_POLES or order - zeros not in EXCESS:
-        raise DesignError(
+        raise ParameterError(
             f"the model of dcarc has {order} poles and {zeros} zeros; it must have {EXCESS[0]} to "
             f"{MOST_POLES} poles and two or three fewer zeros, because the reference has up to three "
             "derivatives"
@@ -157,7 +133,7 @@ def check(model: TransferFunction) -> None:
     for zero in np.roots(numerator):
         if zero.real > -SLOWEST_ZERO or -zero.real < LEAST_DAMPING * abs(zero):
             where = f"{zero.real:.4g}" if zero.imag == 0.0 else f"{zero.real:.4g} ± {abs(zero.imag):.4g}j"
-            raise DesignError(
+            raise ParameterError(
                 f"the model of dcarc has a zero at {where} rad/s and cannot be inverted; zeros must lie "
                 f"left of -{SLOWEST_ZERO:g} rad/s and have a damping ratio of at least {LEAST_DAMPING:g}"
             )
@@ -166,7 +142,7 @@ def check(model: TransferFunction) -> None:
 def inverted(model: TransferFunction) -> Inverted:
     """Inverse of ``model``: B(p)ζ = r, u_r = A(p)ζ, x_r the states of the observability form.
 
-    Raises DesignError for a model that cannot be inverted.
+    Raises ParameterError for a model that cannot be inverted.
     """
     check(model)
     b = np.trim_zeros(np.asarray(model.numerator, dtype=float), "f")[::-1]
@@ -264,51 +240,48 @@ def humming(o: Observed, gain: Floats, angle: float, period: float) -> Observed:
 def kalman(o: Observed, scale: Floats) -> Floats:
     """Gain of the steady-state Kalman filter, P·c/(c·P·c + R) with P of the Riccati equation.
 
-    ``scale``: sizes of the states, which put the equation's numbers close to 1. Raises DesignError.
+    ``scale``: sizes of the states, which put the equation's numbers close to 1. Raises ParameterError.
     """
     a = o.a * scale / scale[:, None]
     c = (o.c * scale)[:, None]
-    process = o.process / scale / scale[:, None]
-    try:
-        p = scipy.linalg.solve_discrete_are(a.T, c, process, np.array([[o.reading]]))
+
+    def solved(p: Floats) -> tuple[Floats, Floats]:
         gain = (p @ c)[:, 0] / ((c.T @ p @ c)[0, 0] + o.reading)
-        radius = np.max(np.abs(np.linalg.eigvals(a - np.outer(a @ gain, c[:, 0]))))
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise DesignError(f"dcarc has no Kalman filter with these noises: {_reason(error)}") from error
-    if not radius < 1.0:
-        raise DesignError(
-            f"dcarc has no Kalman filter with these noises: its largest pole would be {radius:.6f}; raise "
-            "dcarc.disturbance_rate or dcarc.input_noise, or lower dcarc.lvdt_noise"
-        )
-    gained: Floats = gain * scale
-    return gained
+        return gain, a - np.outer(a @ gain, c[:, 0])
+
+    advice = "; raise dcarc.disturbance_rate or dcarc.input_noise, or lower dcarc.lvdt_noise"
+    equation = a.T, c, o.process / scale / scale[:, None], np.array([[o.reading]])
+    return _stationary(equation, solved, "Kalman filter with these noises", advice) * scale
 
 
 def regulator(a: Floats, b: Floats, weight: float, scale: Floats) -> Floats:
-    """Gain K of the LQR that minimises Σ x_1² + ``weight``·u². Raises DesignError."""
+    """Gain K of the LQR that minimises Σ x_1² + ``weight``·u². Raises ParameterError."""
     a = a * scale / scale[:, None]
     b = (b / scale)[:, None]
-    n = len(scale)
-    state = np.zeros((n, n))
+    state = np.zeros(a.shape)
     state[0, 0] = 1.0
-    try:
-        s = scipy.linalg.solve_discrete_are(a, b, state, np.array([[weight]]))
+
+    def solved(s: Floats) -> tuple[Floats, Floats]:
         gain = (b.T @ s @ a)[0] / (weight + (b.T @ s @ b)[0, 0])
-        radius = np.max(np.abs(np.linalg.eigvals(a - b @ gain[None, :])))
+        return gain, a - b @ gain[None, :]
+
+    what = f"LQR with dcarc.voltage_weight {weight:g}"
+    return _stationary((a, b, state, np.array([[weight]])), solved, what, "") / scale
+
+
+def _stationary(
+    equation: tuple[Floats, ...], solved: Callable[[Floats], tuple[Floats, Floats]], what: str, advice: str
+) -> Floats:
+    """Gain that ``solved`` makes, with its closed loop, of the solution of the Riccati ``equation``."""
+    try:
+        gain, loop = solved(scipy.linalg.solve_discrete_are(*equation))
+        radius = np.max(np.abs(np.linalg.eigvals(loop)))
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise DesignError(
-            f"dcarc has no LQR with dcarc.voltage_weight {weight:g}: {_reason(error)}"
-        ) from error
+        reason = str(error).rstrip(".") or "the Riccati equation has no finite solution"
+        raise ParameterError(f"dcarc has no {what}: {reason}") from error
     if not radius < 1.0:
-        raise DesignError(
-            f"dcarc has no LQR with dcarc.voltage_weight {weight:g}: its largest pole would be {radius:.6f}"
-        )
-    gained: Floats = gain / scale
-    return gained
-
-
-def _reason(error: Exception) -> str:
-    return "the Riccati equation has no finite solution" if not str(error) else str(error).rstrip(".")
+        raise ParameterError(f"dcarc has no {what}: its largest pole would be {radius:.6f}{advice}")
+    return gain
 
 
 def mean_lag(o: Observed, gain: Floats, at: int) -> float:
@@ -323,7 +296,7 @@ def jitter(o: Observed, gain: Floats, feedback: Floats, scale: Floats, waves: in
 
     √(2/π) of the velocity's standard deviation on the model without friction, from the Lyapunov equation
     of model and observer in the loop. ``scale``: sizes of the observer's states; the last ``waves`` of them
-    are of a hum. Raises DesignError.
+    are of a hum. Raises ParameterError.
     """
     n, size = len(feedback), len(gain)
     own = [i for i in range(size - waves) if i != n]  # the model's states; its disturbance is none
@@ -347,41 +320,35 @@ def jitter(o: Observed, gain: Floats, feedback: Floats, scale: Floats, waves: in
             whole = whole @ whole
     variance = float(covariance[1, 1])
     if not math.isfinite(variance):
-        raise DesignError("dcarc has no finite response to the noise of the LVDT with these weights")
+        raise ParameterError("dcarc has no finite response to the noise of the LVDT with these weights")
     return math.sqrt(2.0 / math.pi * max(variance, 0.0)) * float(scale[1])
 
 
-def _row(numbers: Floats) -> Row:
-    return Row(*(float(v) for v in np.concatenate([numbers, np.zeros(MOST_POLES - len(numbers))])))
+def _filled(kind: Any, numbers: Floats) -> Any:
+    """Record of a ``kind`` of numbers, of which the last ones may be missing: 0.0."""
+    return kind(*numbers.tolist(), *[0.0] * (len(kind._fields) - len(numbers)))
 
 
-def _past(numbers: Floats) -> Past:
-    return Past(*(float(v) for v in np.concatenate([numbers, np.zeros(MOST_DELAY - len(numbers))])))
-
-
-def _inverse(numbers: Floats) -> Inverse:
-    return Inverse(*(float(v) for v in np.concatenate([numbers, np.zeros(MOST_ZEROS - len(numbers))])))
-
-
-def _combination(row: Floats, zeros: int) -> Combination:
+def _combination(row: Floats, zeros: int) -> parts.Combination:
     """``row`` of coefficients as in ``Inverted``, of a model with so many ``zeros``."""
     inner = np.concatenate([row[:zeros], np.zeros(MOST_ZEROS - zeros)])
     reference = np.concatenate([row[zeros:], np.zeros(EXCESS[1] + 1 - len(row) + zeros)])
-    return Combination(*(float(v) for v in (*inner, *reference)))
+    return parts.Combination(*(float(v) for v in (*inner, *reference)))
 
 
-def _move(rate: Floats, time: float) -> Move:
+def _move(rate: Floats, time: float) -> parts.Move:
     """Inner states after ``time`` [s] with a reference that moves in a straight line, exactly."""
     m = len(rate)
     whole = np.zeros((m + 2, m + 2))
     whole[:m, : m + 1] = rate[:, : m + 1]
     whole[m, m + 1] = 1.0
+    rows = np.zeros((MOST_ZEROS, MOST_ZEROS + 2))
     after = scipy.linalg.expm(whole * time)[:m]
-    zeta, first, second, third = (_inverse(after[:, i] if m > i else np.zeros(0)) for i in range(MOST_ZEROS))
-    return Move(zeta, first, second, third, _inverse(after[:, m]), _inverse(after[:, m + 1]))
+    rows[:m, :m], rows[:m, MOST_ZEROS:] = after[:, :m], after[:, m:]
+    return parts.Move(*(_filled(parts.Row, row) for row in rows))
 
 
-def _rest(of: Inverted, reference: float, rate: float) -> Rest:
+def _rest(of: Inverted, reference: float, rate: float) -> parts.Rest:
     """Steady motion through ``reference`` [V] at ``rate`` [V/s]."""
     m = len(of.rate)
     inner = np.zeros(m, dtype=np.float64)
@@ -390,39 +357,34 @@ def _rest(of: Inverted, reference: float, rate: float) -> Rest:
         q = np.linalg.solve(of.rate[:, :m], -of.rate[:, m] * rate)
         inner[:] = np.linalg.solve(of.rate[:, :m], q - of.rate[:, m] * reference)
     whole = np.concatenate([inner, [reference, rate], np.zeros(of.voltage.size - m - 2)])
-    return Rest(_row(of.state @ whole), _inverse(inner), float(of.voltage @ whole))
+    return parts.Rest(
+        _filled(parts.Row, of.state @ whole), _filled(parts.Inverse, inner), float(of.voltage @ whole)
+    )
 
 
 @functools.lru_cache(maxsize=32)
-def reference(model: TransferFunction, period: float) -> Reference:
-    """Inverse of ``model``, and how it moves in one ``period`` [s]. Raises DesignError."""
+def reference(model: TransferFunction, period: float) -> tuple[Inverted, dict[str, Any]]:
+    """Inverse of ``model``, and how it moves in one ``period`` [s]: fields of ``dcarc.Params``.
+
+    Raises ParameterError.
+    """
     of = inverted(model)
-    return Reference(
-        of=of,
+    return of, dict(
         full=_move(of.rate, period),
         half=_move(of.rate, 0.5 * period),
+        model_voltage=_combination(of.voltage, len(of.rate)),
         standing=_rest(of, 1.0, 0.0),
         moving=_rest(of, 0.0, 1.0),
     )
 
 
-class Waiting(NamedTuple):
-    """The way of the voltage to the valve: periods that it waits, and what it does then."""
-
-    periods: int  # whole ones
-    input: Floats  # n  column of the voltage that acts at the end of a period
-    early: Floats  # n  of the one before, which acts at its beginning
-    late: float  # of the first on the position that is the first of the past ones
-    passing_early: float  # of the one before
-    transition: Floats  # n×n  over the dead time
-    held: Floats  # n×MOST_DELAY  of the voltages before, until the one of now begins to act
-    pushed: Floats  # n  of the disturbance until then
-
-
-def waiting(model: TransferFunction, period: float, coil: float, dead_time: float, age: float) -> Waiting:
+def waiting(model: TransferFunction, period: float, coil: float, dead_time: float, age: float) -> Any:
     """Dead time of the actuator [s]: a voltage acts so much later than it is sent, for one ``period``.
 
     ``age`` [s]: of the first of the past positions, at the next sample; see ``readings`` for ``coil``.
+    Returns whole periods; the column of the voltage that acts at the end of a period, and its part of that
+    position; the same of the one before, which acts at its beginning; the transition over the dead time, what
+    voltages before (n×MOST_DELAY) do until the one of now begins to act, and what the disturbance does.
     """
     a, b = observability_form(model)
     _, f = observability_form(_from_force(model, coil)) if coil > 0.0 else (a, b)
@@ -444,21 +406,12 @@ def waiting(model: TransferFunction, period: float, coil: float, dead_time: floa
         held[:, i] = power @ full
         power = whole @ power
     held[:, periods] = power @ before
-    transition, pushed = power @ until, sampled(a, f, dead_time, scale)[1]
-    return Waiting(
-        periods,
-        then,
-        after @ before,
-        float(last[0]),
-        float(first[0]),
-        transition,
-        held[:, :MOST_DELAY],
-        pushed,
-    )
+    over = power @ until, held[:, :MOST_DELAY], sampled(a, f, dead_time, scale)[1]
+    return periods, (then, float(last[0])), (after @ before, float(first[0])), over
 
 
 @functools.lru_cache(maxsize=32)
-def equivalent(model: TransferFunction) -> Equivalent:
+def equivalent(model: TransferFunction) -> parts.Equivalent:
     """Second-order model with the static gain and the two slowest poles of ``model``.
 
     Where one of these is half of a pair, that of its slow motion, if there is one.
@@ -467,33 +420,33 @@ def equivalent(model: TransferFunction) -> Equivalent:
     slow = poles[np.argsort(np.abs(poles))[:2]]
     own = slow_motion(model) if np.sum(slow).imag != 0.0 else None
     if own is not None:
-        return Equivalent(*own)
+        return parts.Equivalent(*own)
     a1, a0 = float(-np.sum(slow).real), float(np.prod(np.abs(slow)))
-    return Equivalent(a1, a0, a0 * model.static_gain)
+    return parts.Equivalent(a1, a0, a0 * model.static_gain)
 
 
 def _refuse(
     model: TransferFunction, period: float, delay: float, coil: float, dead_time: float, hum: float
 ) -> None:
-    """Raise DesignError for numbers that do not fit each other."""
+    """Raise ParameterError for numbers that do not fit each other."""
     if coil > 0.0 and excess(model) <= EXCESS[0]:
-        raise DesignError(
+        raise ParameterError(
             f"dcarc.coil is {coil:g} s; the model must then have three more poles than zeros, or dcarc.coil "
             "must be 0"
         )
     for name, time in (("delay", delay), ("actuator_delay", dead_time)):
         if time > MOST_DELAY * period * (1.0 + 1e-9):
-            raise DesignError(
+            raise ParameterError(
                 f"dcarc.{name} is {time:g} s; at a sample period of {period:g} s it must be at most "
                 f"{MOST_DELAY * period:g} s"
             )
     if 0.0 < hum < LEAST_HUM:
-        raise DesignError(
+        raise ParameterError(
             f"dcarc.hum is {hum:g} Hz; it must be 0 or at least {LEAST_HUM:g} Hz, so that motion is not "
             "taken for hum"
         )
     if hum >= 0.5 / period:
-        raise DesignError(
+        raise ParameterError(
             f"dcarc.hum is {hum:g} Hz; it must lie below half of the sample rate, {0.5 / period:g} Hz"
         )
 
@@ -516,11 +469,13 @@ def design(
 
     ``noise`` and ``resolution`` [V]: of the LVDT; ``input_noise`` [V], ``disturbance_rate`` [V/√s]: what the
     Kalman filter assumes of the input; ``voltage_weight``: of LQR; ``coil`` [s]: lag of the force behind the
-    voltage; ``dead_time`` [s]: of the actuator; ``hum`` [Hz]: in the reading, 0.0: none. Raises DesignError.
+    voltage; ``dead_time`` [s]: of the actuator; ``hum`` [Hz]: in the reading, 0.0: none.
+
+    Raises ParameterError.
     """
-    at = reference(model, period)
+    of, moves = reference(model, period)
     _refuse(model, period, delay, coil, dead_time, hum)
-    n, zeros = readings(model, period, delay).order, len(at.of.rate)
+    n = readings(model, period, delay).order
     reading = math.sqrt(noise**2 + resolution**2 / 12.0)
     o = observed(model, period, delay, reading, input_noise, disturbance_rate * math.sqrt(period), coil)
     m = len(o.a) - n - 1
@@ -539,51 +494,48 @@ def design(
     shown = np.array([0.0] * (m - 1) + [1.0] * min(m, 1))
     full = np.zeros((MOST_POLES, n))
     full[:n] = transition
-    rows = [_row(row) for row in full]
+    rows = [_filled(parts.Row, row) for row in full]
     passing = o.a[n + 1, :n] if m else np.zeros(n)
-    wait = waiting(model, period, coil, dead_time, ages[0] if m else 0.0)
-    acting, late = held, float(o.b[n + 1]) if m else 0.0
-    if dead_time > 0.0:
-        acting, late = wait.input, wait.late
+    whole, later, (early, passing_early), over = waiting(
+        model, period, coil, dead_time, ages[0] if m else 0.0
+    )
+    until, waits, pushed = over
+    acting, late = later if dead_time > 0.0 else (held, float(o.b[n + 1]) if m else 0.0)
     return dict(
-        model=Model(
+        model=parts.Model(
             row0=rows[0],
             row1=rows[1],
             row2=rows[2],
             row3=rows[3],
             row4=rows[4],
             row5=rows[5],
-            input=_row(acting),
-            force=_row(o.a[:n, n] - acting),
-            passing=_row(passing),
+            input=_filled(parts.Row, acting),
+            force=_filled(parts.Row, o.a[:n, n] - acting),
+            passing=_filled(parts.Row, passing),
             passing_input=late if m else 0.0,
             passing_force=float(o.a[n + 1, n]) - late if m else 0.0,
             waits=1.0 if dead_time > 0.0 else 0.0,
-            direct=1.0 if wait.periods == 0 else 0.0,
-            acting=_past(np.eye(MOST_DELAY + 1)[wait.periods][1:]),
-            leaving=_past(np.eye(MOST_DELAY + 2)[wait.periods + 1][1 : MOST_DELAY + 1]),
-            early=_row(wait.early),
-            passing_early=wait.passing_early if m else 0.0,
+            direct=1.0 if whole == 0 else 0.0,
+            acting=_filled(parts.Past, np.eye(MOST_DELAY + 1)[whole][1:]),
+            leaving=_filled(parts.Past, np.eye(MOST_DELAY + 2)[whole + 1][1 : MOST_DELAY + 1]),
+            early=_filled(parts.Row, early),
+            passing_early=passing_early if m else 0.0,
             present=0.0 if m else 1.0,
-            shown=_past(shown),
-            ages=_past(ages),
+            shown=_filled(parts.Past, shown),
+            ages=_filled(parts.Past, ages),
         ),
-        kalman=KalmanGains(
-            _row(gain[:n]),
+        kalman=parts.KalmanGains(
+            _filled(parts.Row, gain[:n]),
             float(gain[n]),
-            _past(gain[n + 1 : n + 1 + m]),
-            Wave(float(wave[0]), float(wave[1])),
+            _filled(parts.Past, gain[n + 1 : n + 1 + m]),
+            parts.Wave(float(wave[0]), float(wave[1])),
         ),
-        turn=Turn(1.0 if waves else 0.0, math.cos(angle), math.sin(angle)),
-        feedback=_row(feedback @ wait.transition if dead_time > 0.0 else feedback),
-        waiting=_past(feedback @ wait.held),
-        unexplained=float(feedback @ wait.pushed),
-        wanted=_combination(feedback @ at.of.state, zeros),
-        full=at.full,
-        half=at.half,
-        model_voltage=_combination(at.of.voltage, zeros),
-        standing=at.standing,
-        moving=at.moving,
+        turn=parts.Turn(1.0 if waves else 0.0, math.cos(angle), math.sin(angle)),
+        feedback=_filled(parts.Row, feedback @ until if dead_time > 0.0 else feedback),
+        waiting=_filled(parts.Past, feedback @ waits),
+        unexplained=float(feedback @ pushed),
+        wanted=_combination(feedback @ of.state, len(of.rate)),
+        **moves,
         lag_share=1.0 / mean_lag(o, gain, n),
         jitter=jitter(o, gain, feedback, scale, waves),
         equivalent=equivalent(model),

@@ -35,14 +35,12 @@ class Inverse(NamedTuple):
 
 
 class Move(NamedTuple):
-    """What leads to the inner states some time later while the reference moves in a straight line."""
+    """Inner states some time later while the reference moves in a straight line: of them, it and its rate."""
 
-    zeta: Inverse  # of ζ
-    rate: Inverse  # of its rate
-    accel: Inverse  # of its second derivative
-    jerk: Inverse  # of its third derivative
-    reference: Inverse  # of the reference [V]
-    reference_rate: Inverse  # of its rate [V/s]
+    zeta: Row
+    rate: Row
+    accel: Row
+    jerk: Row
 
 
 class Combination(NamedTuple):
@@ -195,17 +193,5 @@ def combined(c: Combination, s: Inverse, r: Course) -> float:
 
 def moved(m: Move, s: Inverse, reference: float, rate: float) -> Inverse:
     """Inner states of the inverse after ``m``, from ``reference`` [V] and ``rate`` [V/s] before."""
-    a, b, c, d, e, f = m
-    a0, a1, a2, a3 = a
-    b0, b1, b2, b3 = b
-    c0, c1, c2, c3 = c
-    d0, d1, d2, d3 = d
-    e0, e1, e2, e3 = e
-    f0, f1, f2, f3 = f
-    x0, x1, x2, x3 = s
-    return Inverse(
-        a0 * x0 + b0 * x1 + c0 * x2 + d0 * x3 + e0 * reference + f0 * rate,
-        a1 * x0 + b1 * x1 + c1 * x2 + d1 * x3 + e1 * reference + f1 * rate,
-        a2 * x0 + b2 * x1 + c2 * x2 + d2 * x3 + e2 * reference + f2 * rate,
-        a3 * x0 + b3 * x1 + c3 * x2 + d3 * x3 + e3 * reference + f3 * rate,
-    )
+    x = Row(s.zeta, s.rate, s.accel, s.jerk, reference, rate)
+    return Inverse(dot(m.zeta, x), dot(m.rate, x), dot(m.accel, x), dot(m.jerk, x))

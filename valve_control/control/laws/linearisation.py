@@ -35,29 +35,12 @@ PARAMETERS: Table = (
         "changed while this is false and is checked when it becomes true",
     ),
     Parameter(
-        "linearisation.voltage",
-        [-10.0, 10.0],
-        "V",
-        f"points of the static curve: voltages of the amplifier, rising, 2 to {MOST}",
-        -100.0,
-        100.0,
+        "linearisation.voltage", [-10.0, 10.0], "V", f"curve: rising voltages, 2 to {MOST}", -100.0, 100.0
     ),
     Parameter(
-        "linearisation.position",
-        [-10.0, 10.0],
-        "V",
-        "points of the static curve: steady positions at these voltages, mean of both directions, rising",
-        -100.0,
-        100.0,
+        "linearisation.position", [-10.0, 10.0], "V", "curve: steady positions at these", -100.0, 100.0
     ),
-    Parameter(
-        "linearisation.gain",
-        1.0,
-        "V/V",
-        "static gain of the law's model: steady position for 1 V of the law",
-        1e-3,
-        1e3,
-    ),
+    Parameter("linearisation.gain", 1.0, "V/V", "static gain of the law's model", 1e-3, 1e3),
 )
 
 

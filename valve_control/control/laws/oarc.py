@@ -282,15 +282,21 @@ def step(
         theta = projection.advance(theta, theta_rate, p.period, p.theta_min, p.theta_max)
         if voltage == terms.unsaturated_voltage:
             bound = now
-    state = State(
+    return voltage, advanced(p, s, accel, measurement, voltage, theta, bound), terms
+
+
+def advanced(
+    p: Params, s: State, accel: float, x1: float, voltage: float, theta: Theta, bound: lyapunov_bound.Sample
+) -> State:
+    """State at the next sample, with the reading ``x1`` [V] and the ``voltage`` [V] that is applied."""
+    return State(
         reshaping.advance(p.reshaping, s.reference, accel),
-        advance_filter(p.filter, s.eta, measurement),
+        advance_filter(p.filter, s.eta, x1),
         advance_filter(p.filter, s.v0, voltage),
         advance_filter(p.filter, s.psi, 1.0),
         theta,
         bound,
     )
-    return voltage, state, terms
 
 
 def hold(p: Params, s: State, command: float, measurement: float, voltage: float) -> State:
@@ -299,14 +305,7 @@ def hold(p: Params, s: State, command: float, measurement: float, voltage: float
     ``measurement`` [V]: what the reading may have been, interpolated.
     """
     accel = reshaping.acceleration(p.reshaping, s.reference, command)
-    return State(
-        reshaping.advance(p.reshaping, s.reference, accel),
-        advance_filter(p.filter, s.eta, measurement),
-        advance_filter(p.filter, s.v0, voltage),
-        advance_filter(p.filter, s.psi, 1.0),
-        s.theta,
-        lyapunov_bound.FIRST,
-    )
+    return advanced(p, s, accel, measurement, voltage, s.theta, lyapunov_bound.FIRST)
 
 
 PARAMETERS: Table = (
@@ -314,14 +313,7 @@ PARAMETERS: Table = (
     Parameter("oarc.k2", 48400.0, "1/s²", "observer gain k2 of (28)", 1e-3, 1e12),
     Parameter("oarc.ks1", 120.0, "1/s", "gain ks1 of (39)", 1e-3, 1e5),
     Parameter("oarc.ks2", 120.0, "1/s", "gain ks2 of (48)", 1e-3, 1e5),
-    Parameter(
-        "oarc.z2_weight",
-        1.44e6,
-        "1/s²",
-        "weight ρ of z2² in V2; the paper has 1.0; θ3(0)² scales z2 to V/s",
-        1e-3,
-        1e12,
-    ),
+    Parameter("oarc.z2_weight", 1.44e6, "1/s²", "weight ρ of z2² in V2; the paper has 1.0", 1e-3, 1e12),
     *estimates.parameters("oarc", [2.0, 110.0, 120.0, 4000.0]),
     Parameter("oarc.epsilon1", 1e3, "V²/s", "ε11 of (42) for the quadratic robust term", 1e-9, 1e12),
     Parameter("oarc.epsilon2", 1e3, "V²/s", "ε21 of (50) for the quadratic robust term", 1e-9, 1e12),

@@ -11,7 +11,7 @@ PARAMETERS: Table = (
         "open_loop.static_gain",
         46882988.0 / 56553725.0,
         "V/V",
-        "static gain of the valve, by which the open loop divides the command; default: that of (3)",
+        "static gain of the valve; default: that of (3)",
         1e-6,
         1e6,
     ),
@@ -20,9 +20,9 @@ PARAMETERS: Table = (
 
 def build(values: Values) -> biquads.Params:
     """Params of the static gain from the controller's values."""
-    from valve_control.control.laws import design
-
-    return design.static_params(number(values, "open_loop.static_gain"), number(values, "u_max"))
+    inverse = 1.0 / number(values, "open_loop.static_gain")
+    section = biquads.Section(inverse, 0.0, 0.0, 0.0, 0.0)
+    return biquads.Params(section, biquads.PASS, biquads.PASS, inverse, number(values, "u_max"))
 
 
 LAW = Law(

@@ -173,13 +173,7 @@ PARAMETERS: Table = (
     Parameter("pid.ki", 70.901, "1/s", "integral gain", 0.0, 1e9),
     Parameter("pid.kd", 0.093, "s", "derivative gain", 0.0, 1e3),
     Parameter(
-        "pid.break_frequency",
-        0.0,
-        "Hz",
-        "frequency of all poles of (55), from which kp, ki and kd are computed (the paper has 7.0); 0: "
-        "kp, ki and kd as given",
-        0.0,
-        1e4,
+        "pid.break_frequency", 0.0, "Hz", "frequency of all poles of (55); 0: gains as given", 0.0, 1e4
     ),
     Parameter(
         "pid.theta", [20.0, 1200.0, 1200.0], "", "model terms θ1(0), θ2(0), θ3(0) of (56)", 0.0, 1e9, length=3

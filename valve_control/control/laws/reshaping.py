@@ -165,20 +165,11 @@ PARAMETERS: Table = (
         "reshaping.lead",
         0.0,
         "s",
-        "lead of the command, computed from past commands, for every law: 2·ξ_n/ω_n compensates the lag "
-        "of (8), a larger value also the lag of the loop; 0.0: none",
+        "lead of the command; 2·ξ_n/ω_n: by the lag of (8); 0.0: none",
         0.0,
         MOST_LEAD,
     ),
-    Parameter(
-        "reshaping.lead_accel",
-        0.0,
-        "-",
-        "share of the acceleration term in reshaping.lead: 1.0 also compensates the error at constant "
-        "acceleration; 0.0: lead by the rate alone",
-        0.0,
-        1.0,
-    ),
+    Parameter("reshaping.lead_accel", 0.0, "-", "share of the acceleration in the lead; 0.0: none", 0.0, 1.0),
 )
 
 

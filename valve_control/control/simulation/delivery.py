@@ -148,9 +148,4 @@ def led(
     lead: command_lead.Params | None, values: Values, command: Floats, delivery: Delivery | None
 ) -> Floats:
     """Commands [V] as a law gets them at each sample, with the ``lead``; ``delivery``: how they come."""
-    got = received(values, command, delivery)
-    if lead is None or len(got) == 0:
-        return got
-    result = np.empty_like(got)
-    compile_function(command_lead.fill)(lead, got, result)
-    return result
+    return command_lead.applied(lead, received(values, command, delivery))
