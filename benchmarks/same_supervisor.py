@@ -139,11 +139,12 @@ def run(seed: int) -> Iterator[str]:
         nonlocal count
         count += 1
         parts = [event, voltage, handed[-1:], int(supervisor.mode), supervisor.reason, supervisor.conditions,
-                 supervisor.counts, supervisor.telemetry(), supervisor.changed, supervisor.bridged,
-                 supervisor.command_in_force, supervisor.assumed, supervisor.theta]  # fmt: skip
+                 supervisor.memory.counts, supervisor.telemetry(), supervisor.memory.changed,
+                 supervisor.bridged, supervisor.memory.command.value, supervisor.assumed,
+                 supervisor.theta]  # fmt: skip
         if count % 20 == 0:
             parts += [snapshot(supervisor), supervisor.present_values()]
-        supervisor.changed = False
+        supervisor.memory.changed = False
         return repr(parts)
 
     fault, left = "sound", dice.randrange(5, 200)

@@ -52,10 +52,10 @@ class Upper:
 
     def sample(self, reading, command=None):
         """The voltage that answers ``reading``; it is sent again if the process stood still meanwhile."""
-        before = self.node._supervisor.samples
+        before = self.node._supervisor.memory.samples
         if command is not None:
             self.commands.publish(encoded(command))
-        while self.node._supervisor.samples == before:
+        while self.node._supervisor.memory.samples == before:
             taken = len(self.node._timing.arrivals)
             self.lvdt.publish(encoded(reading))
             self.until(lambda taken=taken: len(self.node._timing.arrivals) > taken, "an answer")
@@ -100,9 +100,9 @@ def test_from_the_first_reading_to_the_last_word(ros):
         assert not node.work() and node.inputs() == () and node.due() == math.inf
         wait_for_message(node, node._readings)
         node.trigger_activate()
-        samples = node._supervisor.samples
+        samples = node._supervisor.memory.samples
         node.work()
-        assert node._supervisor.samples == samples, "what came meanwhile is stale"
+        assert node._supervisor.memory.samples == samples, "what came meanwhile is stale"
         node.finish()
         assert node._state_machine.current_state[1] == "finalized"
 
@@ -132,9 +132,9 @@ def test_what_waited_while_the_process_stood_still_is_not_answered_as_new(ros):
         upper.sample(0.0)
         upper.lvdt.publish(encoded(0.5))
         node._watch_at = time.monotonic() - 1.0
-        samples, count = node._supervisor.samples, len(node._journal)
+        samples, count = node._supervisor.memory.samples, len(node._journal)
         upper.until(lambda: len(node._journal) > count, "the stale reading")
-        assert node._supervisor.samples == samples and node._catching_up
+        assert node._supervisor.memory.samples == samples and node._catching_up
         node._timing.arrivals[-1] -= 1.0
         upper.sample(0.0)
         assert not node._catching_up
@@ -167,22 +167,22 @@ def test_an_upper_level_or_a_trajectory_that_leaves_is_known(ros):
         node._watch_graph()
         points.publish(encoded_point(0.1, 0.0, 0.0))
         upper.until(
-            lambda: upper.sample(0.0) is not None and node._supervisor.has_trajectory, "the trajectory"
+            lambda: upper.sample(0.0) is not None and node._supervisor.memory.trajectory, "the trajectory"
         )
         refused = JointTrajectoryPoint(positions=[0.1, 0.2])
         points.publish(refused)
         upper.until(
-            lambda: upper.sample(0.0) is not None and node._supervisor.counts["command_refused"] == 1,
+            lambda: upper.sample(0.0) is not None and node._supervisor.memory.counts["command_refused"] == 1,
             "a refusal",
         )
         ros.destroy_publisher(points)
         upper.until(lambda: node.count_publishers("spool_trajectory") == 0, "its end")
         node._watch_graph()
-        assert not node._supervisor.has_trajectory and not node._supervisor.command_left
+        assert node._supervisor.memory.trajectory is None and not node._supervisor.memory.command.gone_since
         ros.destroy_publisher(upper.commands)
         upper.until(lambda: node.count_publishers("spool_command") == 0, "its end")
         node._watch_graph()
-        assert node._supervisor.command_left
+        assert node._supervisor.memory.command.gone_since
         node.trigger_deactivate()
         node.trigger_cleanup()
         node._watch_graph()

@@ -110,25 +110,6 @@ def test_more_signals_during_the_exit_change_nothing(tmp_path, node, number):
         assert "Traceback" not in child.stderr.read()
 
 
-def test_a_tool_that_is_stopped_stops_its_nodes_whatever_else_comes(tmp_path):
-    with start("lockstep", "--out", str(tmp_path), "--duration", "10") as child:
-        until(lambda: list(tmp_path.glob("*controller*.log")), "no node was started")
-        while child.poll() is None:
-            child.send_signal(signal.SIGINT)
-            time.sleep(0.002)
-        assert child.returncode == 130, child.stderr.read()
-        assert "Traceback" not in child.stderr.read()
-    assert not [p for p in Path("/proc").glob("[0-9]*") if runs_in(p, str(tmp_path))]
-
-
-def runs_in(process, folder):
-    """Whether a living process writes into ``folder``."""
-    try:
-        return folder in os.readlink(process / "fd" / "1")
-    except OSError:
-        return False
-
-
 @pytest.mark.parametrize(
     ("name", "count"),
     [

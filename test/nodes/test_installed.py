@@ -4,7 +4,6 @@
 
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from importlib.metadata import distribution
@@ -12,8 +11,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from bench import spin_until
-from std_msgs.msg import Float64
 
 ROOT = Path(__file__).resolve().parents[2]
 BIN = Path(sys.executable).parent
@@ -104,40 +101,3 @@ def test_every_executable_answers(installed, tmp_path, name):
     done = installed.run(tmp_path, name, "--help")
     assert done.returncode == 0 and name in done.stdout and len(done.stdout.splitlines()) > 3, done.stderr
     assert done.stderr == "" and not any(tmp_path.iterdir())
-
-
-def test_a_cascade_is_recorded_and_analysed_without_the_source_tree(installed, ros, tmp_path):
-    """Its recording is replayed bit for bit by the installed law; the valve is simulated offline too."""
-    config = installed.prefix / "share" / "valve_control" / "config"
-    voltages = []
-    ros.create_subscription(Float64, "valve_voltage", lambda message: voltages.append(message.data), 10)
-    started = {}
-    options = {
-        "recorder": ["-p", f"bag:={tmp_path / 'bag'}"],
-        "controller": ["--params-file", config / "oarc.yaml"],
-        "valve_simulator": ["--params-file", config / "d3fxe.yaml"],
-        "command_source": ["--params-file", config / "command_source.yaml", "-p", "duration:=60.0"],
-    }
-    try:
-        for name, words in options.items():
-            with open(tmp_path / f"{name}.log", "w", encoding="utf-8") as log:
-                command = installed.command(name, "--ros-args", *words)
-                started[name] = subprocess.Popen(
-                    command, cwd=tmp_path, env=installed.environment, stdout=log, stderr=subprocess.STDOUT
-                )
-        spin_until(ros, lambda: len(voltages) > 1500 and max(map(abs, voltages)) > 0.5, "the closed loop")
-        for child in reversed(started.values()):
-            child.send_signal(signal.SIGINT)
-        status = {name: child.wait(30.0) for name, child in started.items()}
-    finally:
-        for child in started.values():
-            child.kill()
-            child.wait()
-    assert set(status.values()) == {0}, status
-    done = installed.run(tmp_path, "valve-control", "analyze", "bag", "--html", "bag.html")
-    assert done.returncode == 0 and "e_rms" in done.stdout and (tmp_path / "bag.html").exists(), done.stderr
-    done = installed.run(tmp_path, "valve-control", "replay", "bag")
-    assert done.returncode == 0 and "bit" in done.stdout, done.stdout + done.stderr
-    words = ("--controller", "oarc", "--params-file", config / "d3fxe.yaml", "--set", "duration=0.5")
-    done = installed.run(tmp_path, "valve-control", "simulate", *words, "--figure", "oarc.png")
-    assert done.returncode == 0 and (tmp_path / "oarc.png").exists(), done.stderr

@@ -7,24 +7,12 @@ import time
 from contextlib import ExitStack
 
 import pytest
-import sizes
-from bench import run_tool, spin_until
+from bench import spin_until
 from std_msgs.msg import Float64
 
 from research.campaigns.lockstep import CONFIG, run_lockstep
 from research.campaigns.processes import process
-from valve_control.control.laws.registry import LAWS
 from valve_control.nodes.adapter import SAMPLES
-
-
-@pytest.mark.campaign
-def test_the_motion_equals_offline_for_every_controller(tmp_path):
-    entries = run_tool("lockstep", tmp_path, "--duration", str(sizes.LOCKSTEP))
-    assert [e["controller"] for e in entries] == list(LAWS)
-    for entry in entries:
-        assert entry["equal"] and entry["samples"] == round(1000 * sizes.LOCKSTEP)
-        assert entry["voltage_at_end_V"] == entry["offline_voltage_at_end_V"]
-
 
 SOLENOID = {
     "valve": "solenoid", "solenoid.hysteresis": 0.2, "solenoid.dead_time": 0.0007, "solenoid.bits": 12,

@@ -8,13 +8,11 @@ import time
 from contextlib import contextmanager, nullcontext
 
 import pytest
-from bench import LIMIT, get_double, spin_until
+from bench import get_double, spin_until
 from std_msgs.msg import Float64
 
 from research.campaigns.processes import process
-from valve_control.control.supervision.record import Mode
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
-from valve_control.nodes.controller_node import TURNS, Controller
 
 PROMPT = 2.0  # s for the end of a process, most of it Python's
 FLOOD = """
@@ -50,44 +48,6 @@ def test_what_waits_is_taken_and_not_what_comes_meanwhile(ros):
         publisher.publish(encoded(number + 1.0))
         assert len(taken) <= SAMPLES.depth
     assert taken == [float(i) for i in range(SAMPLES.depth)]
-
-
-ANY_PACE = ("-p", "lvdt.period_limit:=1000.0")  # the tests give readings as fast as they are answered
-
-
-def test_valves_that_fall_silent_at_once_do_not_wait_for_their_next_reminder(ros):
-    """One that is held up acts again when it is its turn, 2 ms later, and not in 0.1 s."""
-    valves = [
-        Controller(warms=False, alone=False, cli_args=["--ros-args", "-r", f"__ns:=/w{i}", *ANY_PACE])
-        for i in range(3)
-    ]
-    try:
-        lvdts = [ros.create_publisher(Float64, f"/w{i}/spool_position", SAMPLES) for i in range(3)]
-
-        for safe in (False, True):  # with readings as fast as they are answered, then without
-            end = time.monotonic() + LIMIT
-            while not all((valve._supervisor.mode is Mode.SAFE) == safe for valve in valves):
-                assert time.monotonic() < end
-                for valve, lvdt in zip(valves, lvdts, strict=True):
-                    if not safe:
-                        lvdt.publish(encoded(0.0))
-                    valve.work()
-        assert all(valve._supervisor.samples for valve in valves)
-        Controller.told = time.monotonic()
-        waiting, held_up = list(valves), 0
-        while waiting:
-            for valve in waiting:
-                valve.report()
-            waiting = [valve for valve in waiting if valve._supervisor.changed]
-            held_up += len(waiting)
-            for valve in waiting:
-                assert valve.due() <= Controller.told + TURNS[True]
-            while waiting and not any(valve.due() <= time.monotonic() and valve.work() for valve in waiting):
-                pass
-        assert held_up > 0 and all(valve._said[0] is Mode.SAFE for valve in valves)
-    finally:
-        for valve in valves:
-            valve.destroy_node()
 
 
 @pytest.mark.alone

@@ -4,7 +4,6 @@
 
 import os
 import resource
-import threading
 from contextlib import contextmanager
 
 from valve_control.nodes import realtime
@@ -38,15 +37,3 @@ def test_each_refusal_of_the_kernel_is_a_sentence_with_the_limit_to_raise():
     assert memory.startswith("realtime.lock_memory: not locked, ") and "ulimit -l" in memory
     assert priority.startswith("realtime.priority: 20 not obtained, ") and "ulimit -r" in priority
     assert realtime.obtained() == before
-
-
-def test_a_thread_that_has_ended_meanwhile_does_not_keep_the_others_from_theirs():
-    asked, ended = [], 1 << 30  # beyond Linux's largest thread number, 1 << 22
-    threads = [ended, threading.get_native_id()]
-
-    def ask(thread):
-        os.sched_setaffinity(thread, os.sched_getaffinity(thread))
-        asked.append(thread)
-
-    realtime.for_each(threads, ask)
-    assert asked == threads[1:]

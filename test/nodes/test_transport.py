@@ -6,8 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-import sizes
-from bench import run_tool, spin_until
+from bench import spin_until
 from std_msgs.msg import Float64
 
 from research.campaigns.joiners import crowd
@@ -15,28 +14,11 @@ from research.campaigns.processes import leave_own_profile, process
 from valve_control.nodes.transport import (
     ANYWHERE,
     THIS_HOST,
-    check_log_folder,
     use_own_profile,
 )
-from valve_control.parameter import ParameterError
 
 NEWER = "FASTDDS_DEFAULT_PROFILES_FILE"
 PROFILE, RANGE = "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"
-
-
-@pytest.mark.parametrize(
-    ("environment", "words"),
-    [
-        ({}, "below HOME, which is not set; set HOME or ROS_LOG_DIR"),
-        ({"HOME": "/proc/nosuch"}, "/proc/nosuch/.ros/log, cannot be made: No such file"),
-        ({"HOME": "/proc/nosuch", "ROS_HOME": "/proc/none"}, "/proc/none/log, cannot be made"),
-        ({"ROS_LOG_DIR": "/dev/null/log"}, "/dev/null/log, cannot be made: Not a directory; set ROS_LOG_DIR"),
-    ],
-)
-def test_logs_without_a_folder_are_one_sentence(environment, words):
-    with pytest.raises(ParameterError) as error:
-        check_log_folder(environment)
-    assert words in str(error.value)
 
 
 def test_the_profile_follows_the_installed_fast_dds_and_the_range_of_discovery(tmp_path):
@@ -100,21 +82,3 @@ def test_nodes_and_others_with_shared_memory_hear_each_other_by_udp(ros, tmp_pat
             assert len(crew.costs()) == 4
         for name, child in children.items():
             assert shared_memory(child.pid) == [], name
-
-
-@pytest.mark.alone
-@pytest.mark.campaign
-def test_nothing_stands_still_while_others_join_and_are_killed(tmp_path):
-    """In one of three runs: what the middleware does comes again, a hiccup of the machine does not."""
-    failures = []
-    while len(failures) < 3:
-        try:
-            _, joined, worked = run_tool("joiners", tmp_path, "--kills", str(sizes.JOINERS))
-        except AssertionError as failure:
-            failures.append(str(failure))
-            continue
-        assert joined["kills"] == worked["kills"] == sizes.JOINERS
-        standstills = [entry["longest_standstill_s"] for entry in joined.values() if isinstance(entry, dict)]
-        assert len(standstills) == 6 and max(standstills) <= 0.02
-        return
-    raise AssertionError("\n".join(failures))

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags of runs whose every input is known: a supervised controller on a simulated valve."""
 
+import math
 import struct
 from typing import NamedTuple
 
@@ -13,7 +14,8 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.supervision.command_course import Motion
-from valve_control.control.supervision.journal import Journal
+from valve_control.control.supervision.journal import Event, Journal
+from valve_control.control.supervision.state_snapshot import snapshot
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
 from valve_control.recordings.bags.writer import BagWriter
@@ -118,9 +120,9 @@ class Run:
         self.values = updated(CONTROLLER, defaults(CONTROLLER), controller or {})
         self.valve_values = updated(VALVE, defaults(VALVE), {"lvdt.noise": 0.004, **(simulator or {})})
         self.time = self.clock = self.answered = begin
-        self.supervisor = Supervisor()
-        self.journal = Journal(self.supervisor, lambda: self.clock)
-        self.journal.apply(self.values, build.law_params(self.values))
+        self.journal = Journal(lambda: self.clock)
+        self.supervisor = Supervisor(self.journal.note)
+        self.supervisor.apply(self.values, build.law_params(self.values))
         self.plant = build.valve_params(self.valve_values)
         self.spool = valve.initial(self.plant)
         self.counts = {"spool_command": 0, "spool_position": 0, "valve_voltage": 0}
@@ -152,22 +154,25 @@ class Run:
             return
         self.values = updated(CONTROLLER, self.values, new)
         self.clock = max(self.time + PERIOD // 2 - 20_000, self.clock + 40_000)
-        self.journal.apply(self.values, build.law_params(self.values))
+        self.supervisor.apply(self.values, build.law_params(self.values))
         self.flush()
         self.say(f"{self.namespace}/controller", new)
 
-    def times(self, stamp):
-        """Time stamp [ns] of a command, if its middleware has one, and time [s] since the last reading."""
-        return (stamp, (stamp - self.answered) * 1e-9) if self.stamped else (0, 0.0)
+    def times(self, stamp, kind=Event.COMMAND):
+        """Time stamp [s] of a message, if its middleware has one, and time [s] since the last reading."""
+        if not self.stamped:
+            return math.nan, 0.0
+        return self.journal.seconds(kind, stamp), (stamp - self.answered) * 1e-9
 
     def point(self, position, velocity=0.0, acceleration=0.0, ago=0):
         """A point of a trajectory for the next sample, or, with a tuple, one with other counts of entries."""
         self.clock += 1_000
         if isinstance(position, tuple):
-            self.journal.trajectory_refused(len(position), velocity, acceleration)
+            self.supervisor.trajectory_refused(len(position), velocity, acceleration)
         else:
             time = self.time + PERIOD - 300_000 - ago
-            self.journal.trajectory(Motion(position, velocity, acceleration), *self.times(time))
+            motion = Motion(position, velocity, acceleration)
+            self.supervisor.trajectory(motion, *self.times(time, Event.TRAJECTORY))
             self.sent += 1
             name = f"{self.namespace}/spool_trajectory"
             data = trajectory_point(position, velocity, acceleration)
@@ -182,10 +187,10 @@ class Run:
         self.time += PERIOD * max(1, -(-(self.clock + 300_000 - self.time) // PERIOD))
         self.clock = self.time - 250_000
         if before is not None:
-            before(self.journal)
+            before(self.supervisor)
         if command is not None and not late:
             self.put("spool_command", self.time - 300_000, command)
-            self.journal.command(command, *self.times(self.time - 300_000))
+            self.supervisor.command(command, *self.times(self.time - 300_000))
         reading = valve.read(self.plant, self.spool, float(self.random.standard_normal()))
         self.put("spool_position", self.time, reading)
         self.readings.append(reading)
@@ -196,15 +201,15 @@ class Run:
         if not lost:
             elapsed, number = (self.time - self.answered) * 1e-9, self.counts["spool_position"]
             self.answered = self.time
-            self.answer(answered, lambda: self.journal.sample(reading, number, elapsed))
-            if self.supervisor.changed or self.supervisor.samples % 1000 == 0:
+            self.answer(answered, lambda: self.supervisor.sample(reading, number, elapsed))
+            if self.supervisor.memory.changed or self.supervisor.memory.samples % 1000 == 0:
                 self.diagnose()
-            if self.supervisor.samples % 10 == 0:
+            if self.supervisor.memory.samples % 10 == 0:
                 self.tell("state", array(self.supervisor.telemetry(), self.supervisor.labels()))
             if len(self.journal) >= 100:
                 self.flush()
         if command is not None and late:
-            self.journal.command(command, *self.times(answered - 10_000))
+            self.supervisor.command(command, *self.times(answered - 10_000))
         self.spool = valve.step(self.plant, self.spool, self.supervisor.voltage)
 
     def answer(self, time, give):
@@ -221,7 +226,7 @@ class Run:
 
     def diagnose(self):
         """What the controller says of itself."""
-        self.supervisor.changed = False
+        self.supervisor.memory.changed = False
         mode, name = self.supervisor.mode, f"{self.namespace}/controller"
         data = diagnostic(name, int(mode), self.supervisor.reason, mode=mode.name.lower(), samples=1)
         self.send("/diagnostics", STATUS, data)
@@ -235,10 +240,12 @@ class Run:
         rows = self.journal.take()
         if rows:
             self.tell("journal", array(rows))
-            due = self.supervisor.samples - self.remembered >= self.memory_every
+            due = self.supervisor.memory.samples - self.remembered >= self.memory_every
             if due or self.journal.owes_account:
-                self.remembered = self.supervisor.samples
-                self.tell("memory", string(self.journal.account()))
+                self.remembered = self.supervisor.memory.samples
+                self.journal.owes_account = False
+                account = snapshot(self.supervisor, self.journal.run, self.journal.count)
+                self.tell("memory", string(account))
 
     @property
     def messages(self):

@@ -92,9 +92,9 @@ def drop_out(run, stalled):
         run.answer(
             run.time,
             lambda: (
-                run.journal.skip(0.1, run.counts["spool_position"], 0.04)
+                run.supervisor.skip(0.1, run.counts["spool_position"], 0.04)
                 if stalled
-                else run.journal.silence(0.04)
+                else run.supervisor.silence(0.04)
             ),
         )
 
@@ -102,7 +102,9 @@ def drop_out(run, stalled):
 def wrong_reading(run, value):
     run.time += 1_000_000
     run.put("spool_position", run.time, value)
-    run.answer(run.time + 150_000, lambda: run.journal.sample(value, run.counts["spool_position"], 0.0010031))
+    run.answer(
+        run.time + 150_000, lambda: run.supervisor.sample(value, run.counts["spool_position"], 0.0010031)
+    )
 
 
 STEPS = {
@@ -110,18 +112,20 @@ STEPS = {
     "late commands": lambda run: run.move(7, late=True),
     "no commands": lambda run: [run.sample() for _ in range(9)],
     "NaN command": lambda run: run.sample(np.nan),
-    "two commands": lambda run: run.sample(0.1, before=lambda journal: journal.command(-0.2)),
+    "two commands": lambda run: run.sample(0.1, before=lambda supervisor: supervisor.command(-0.2)),
     "lost readings": lambda run: run.move(3, lost=True),
     "many lost readings": lambda run: run.move(25, lost=True),
     "NaN reading": lambda run: wrong_reading(run, np.nan),
     "jump": lambda run: wrong_reading(run, 5.0),
     "silence": lambda run: drop_out(run, False),
     "stall": lambda run: drop_out(run, True),
-    "reset": lambda run: run.move(1, before=lambda journal: journal.reset()),
-    "begin anew": lambda run: run.move(1, before=lambda journal: journal.start()),
-    "command gone": lambda run: run.move(1, before=lambda journal: journal.command_gone()),
-    "two LVDTs": lambda run: run.move(1, before=lambda journal: journal.publishers("spool_position", 2)),
-    "one LVDT": lambda run: run.move(1, before=lambda journal: journal.publishers("spool_position", 1)),
+    "reset": lambda run: run.move(1, before=lambda supervisor: supervisor.reset()),
+    "begin anew": lambda run: run.move(1, before=lambda supervisor: supervisor.start()),
+    "command gone": lambda run: run.move(1, before=lambda supervisor: supervisor.command_gone()),
+    "two LVDTs": lambda run: run.move(
+        1, before=lambda supervisor: supervisor.publishers("spool_position", 2)
+    ),
+    "one LVDT": lambda run: run.move(1, before=lambda supervisor: supervisor.publishers("spool_position", 1)),
     "arc": lambda run: run.change(controller="arc"),
     "oarc": lambda run: run.change(controller="oarc"),
     "pid": lambda run: run.change(controller="pid"),
@@ -139,7 +143,7 @@ STEPS = {
         run.point(0.3, ago=10**9),
         run.sample(0.2),
     ],
-    "trajectory gone": lambda run: run.move(1, before=lambda journal: journal.trajectory_gone()),
+    "trajectory gone": lambda run: run.move(1, before=lambda supervisor: supervisor.trajectory_gone()),
     "two trajectories": lambda run: run.move(1, before=lambda j: j.publishers("spool_trajectory", 2)),
     "u_max": lambda run: run.change(u_max=float(run.random.uniform(0.5, 5.0))),
 }
@@ -312,8 +316,8 @@ def test_a_trajectory_is_replayed_bit_for_bit_with_what_was_refused(tmp_path):
             run.point(np.nan)
             run.point((0.1,), 0, 0)
             run.point(0.5, ago=10**9)
-    assert run.supervisor.counts["command_refused"] == 18
-    assert run.supervisor.has_trajectory
+    assert run.supervisor.memory.counts["command_refused"] == 18
+    assert run.supervisor.memory.trajectory
     run.flush()
     result = shadowed(write(tmp_path / "bag", run.messages))
     assert result.faithful and result.differing == 0 and len(result.voltage) > 250

@@ -75,7 +75,7 @@ def test_a_spool_that_rests_away_from_command_or_voltage_is_told(friction, fault
     given = dirty.Signals(*(array[:3000] for array in given[:3]), 0)
     for *_, supervisor in dirty.samples(case, given):
         conditions |= set(supervisor.conditions)
-    assert ("spool_sticks" in conditions) == sticks and supervisor.counts["safe_stops"] == 0
+    assert ("spool_sticks" in conditions) == sticks and supervisor.memory.counts["safe_stops"] == 0
 
 
 def judged(readings, voltage, b0=1200.0):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from valve_control.control.laws import reshaping
 from valve_control.control.supervision import bumpless_transfer
-from valve_control.control.supervision.bumpless_transfer import NOTHING, ZERO, Offset, State
+from valve_control.control.supervision.bumpless_transfer import ZERO, Offset, State
 
 
 @given(st.floats(0.001, 10.0), st.floats(1e-4, 1e-2), st.floats(-10.0, 10.0), st.floats(-100.0, 100.0))
@@ -30,7 +30,3 @@ def test_a_reference_behind_a_filter_goes_on_with_the_rate_of_the_filter():
     p = SimpleNamespace(reshaping=SimpleNamespace(smoothing=200.0))
     s = SimpleNamespace(reference=reshaping.State(1.5, 40.0), smooth=1.25)
     assert bumpless_transfer.followed(p, s) == reshaping.State(1.25, 50.0)
-
-
-def test_at_rest_nothing_changes():
-    assert bumpless_transfer.step(bumpless_transfer.design(0.05, 0.001), NOTHING) == NOTHING

@@ -65,7 +65,7 @@ def test_a_fading_memory_is_the_weighted_least_squares_fit(memory):
     gains = command_course._fading(memory)
     for command in commands:
         course = command_course.after(course, 1.0)
-        course = command_course.corrected(course, command - course.position, 1.0, *gains)
+        course = command_course.renewed(course, gains, command, command - course.position, 0.0, 1.0, 5)
     x = np.arange(-119, 1)
     fit = np.polynomial.Polynomial.fit(x, commands, 3, w=memory ** (-0.5 * x), domain=[-1, 1], window=[-1, 1])
     wanted = [fit.deriv(n)(0.0) if n else fit(0.0) for n in range(4)]
@@ -140,7 +140,7 @@ def test_a_driver_that_stood_still_beside_a_spool_at_rest_leaves_the_course_wher
         if not stands:
             number += 1
             supervisor.sample(0.001 * (k % 3), number, 0.01 if k == last + 10 else PERIOD)
-    assert supervisor.command_in_force == pytest.approx(math.sin(9.0 * (k + 0.5) * PERIOD), abs=0.03)
+    assert supervisor.memory.command.value == pytest.approx(math.sin(9.0 * (k + 0.5) * PERIOD), abs=0.03)
 
 
 CASES = {

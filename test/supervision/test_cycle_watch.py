@@ -92,7 +92,7 @@ def test_hum_of_the_mains_is_named(config, law, shipped, frequency):
     assert f"(mains: {frequency:.0f} Hz) come in through the LVDT reading" in said[0]
     amplitude = float(re.search(r": (\S+) mV", said[0])[1])
     assert 24.0 < amplitude < 56.0
-    assert loop.supervisor.counts["safe_stops"] == 0
+    assert loop.supervisor.memory.counts["safe_stops"] == 0
 
 
 @given(
@@ -130,7 +130,9 @@ def test_cycles_that_a_quick_command_brings_about_are_not_stopped(config):
     for command in (lambda t: math.copysign(3.0, math.sin(40.0 * t)), sine(2.9, 15.0)):
         loop = Loop.shipped(config, "oarc", "d3fxe").run(2500, command)
         assert np.mean(np.abs(loop.voltages) > 9.0) > 0.1
-        assert loop.supervisor.counts["safe_stops"] == 0 and not [t for t in loop.said if "oscillates" in t]
+        assert loop.supervisor.memory.counts["safe_stops"] == 0 and not [
+            t for t in loop.said if "oscillates" in t
+        ]
 
 
 def test_a_reading_that_swings_while_the_voltage_stands_is_a_hum_of_that_amplitude():

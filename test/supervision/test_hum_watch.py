@@ -29,7 +29,7 @@ def test_hum_of_20_mv_is_named_at_rest_and_in_slow_motion(config, law, shipped):
     for frequency, command in ((50.0, rest), (60.0, sine(0.5, 0.5))):
         loop = Loop.shipped(config, law, shipped).run(300, command).run(2000, command, hum=(0.02, frequency))
         (text,) = said(loop)
-        assert f"(mains: {frequency:.0f} Hz)" in text and loop.supervisor.counts["safe_stops"] == 0
+        assert f"(mains: {frequency:.0f} Hz)" in text and loop.supervisor.memory.counts["safe_stops"] == 0
         told, at = (float(x) for x in re.search(r"hum of (\S+) mV at (\S+) Hz", text).groups())
         assert at == pytest.approx(frequency, abs=0.3)
         # The loop adds to the hum what the valve makes of the voltage.

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rows of the journal: what makes one, what makes none, and which numbers are no rows."""
 
-import math
-
 import changed
 import numpy as np
 import pytest
@@ -16,14 +14,15 @@ from valve_control.control.supervision.supervisor import Supervisor
 
 @pytest.fixture
 def journal():
-    """A journal whose clock goes on by 1 µs a row, after its start."""
+    """A journal whose clock goes on by 1 µs a row, after the start of its ``supervisor``."""
     times = iter(range(1_790_000_000_000_000_000, 1_790_000_001_000_000_000, 1000))
-    made = Journal(Supervisor(), lambda: next(times))
+    journal = Journal(lambda: next(times))
+    journal.supervisor = Supervisor(journal.note)
     values = changed.controller()
-    made.apply(values, build.law_params(values))
-    made.start()
-    made.take()
-    return made
+    journal.supervisor.apply(values, build.law_params(values))
+    journal.supervisor.start()
+    journal.take()
+    return journal
 
 
 def events(journal):
@@ -34,45 +33,45 @@ def events(journal):
 
 def test_what_is_said_twice_is_one_row(journal):
     for count in (1, 2, 2, 3, 1, 0):
-        journal.publishers("spool_command", count)
+        journal.supervisor.publishers("spool_command", count)
     rows = block(journal.take()).rows
     assert [Event(int(row[1])) for row in rows] == 3 * [Event.COMMAND_PUBLISHERS]
     assert list(rows[:, COLUMNS.index("number")]) == [2.0, 3.0, 0.0]
-    journal.sample(0.0, 1, 0.001)
-    journal.command_gone()
-    journal.command_gone()
+    journal.supervisor.sample(0.0, 1, 0.001)
+    journal.supervisor.command_gone()
+    journal.supervisor.command_gone()
     assert events(journal) == [Event.READING, Event.COMMAND_GONE]
-    journal.trajectory_gone()
+    journal.supervisor.trajectory_gone()
     assert events(journal) == [], "there was no trajectory"
-    journal.trajectory(Motion(0.1, 0.0, 0.0))
-    journal.trajectory_gone()
-    journal.trajectory_gone()
+    journal.supervisor.trajectory(Motion(0.1, 0.0, 0.0))
+    journal.supervisor.trajectory_gone()
+    journal.supervisor.trajectory_gone()
     assert events(journal) == [Event.TRAJECTORY, Event.TRAJECTORY_GONE]
 
 
 def test_silence_before_the_first_reading_has_no_voltage(journal):
-    assert math.isnan(journal.silence(0.1))
-    journal.sample(0.0, 1, 0.001)
-    assert journal.silence(0.1) == 0.0
+    assert journal.supervisor.silence(0.1) == 0.0
+    journal.supervisor.sample(0.0, 1, 0.001)
+    assert journal.supervisor.silence(0.1) == 0.0
     rows = block(journal.take()).rows
     assert list(np.isnan(rows[:, COLUMNS.index("voltage")])) == [True, False, False]
 
 
 def test_readings_that_a_standstill_made_stale_are_not_lost(journal):
     """Reading 1 is answered; 2 and 3 overflowed the queue, 4 to 8 were skipped, 10 is lost."""
-    journal.sample(0.0, 1, 0.001)
+    journal.supervisor.sample(0.0, 1, 0.001)
     for number in range(4, 9):
-        journal.skip(0.0, number, 0.001)
+        journal.supervisor.skip(0.0, number, 0.001)
     for number in (9, 11, 12):
-        journal.sample(0.0, number, 0.001)
-    assert journal._supervisor.counts["lvdt_lost"] == 3
+        journal.supervisor.sample(0.0, number, 0.001)
+    assert journal.supervisor.memory.counts["lvdt_lost"] == 3
 
 
 def test_blocks_follow_one_another_and_tell_a_gap(journal):
     blocks = []
     for number in range(1, 4):
-        journal.command(0.1 * number)
-        journal.sample(0.0, number, 0.001)
+        journal.supervisor.command(0.1 * number)
+        journal.supervisor.sample(0.0, number, 0.001)
         blocks.append(block(journal.take()))
     assert [len(one.rows) for one in blocks] == [1, 1, 1], "a command stands in the row of its reading"
     assert blocks[1].follows(blocks[0]) and blocks[2].follows(blocks[1])
@@ -102,8 +101,8 @@ def broken(name, value, event=None):
      (broken("command", np.nan, Event.TRAJECTORY_REFUSED), "rows of another")],
 )  # fmt: skip
 def test_other_numbers_are_no_rows(journal, change, said):
-    journal.command(1.0)
-    journal.sample(0.0, 1, 0.001)
+    journal.supervisor.command(1.0)
+    journal.supervisor.sample(0.0, 1, 0.001)
     rows = np.array(journal.take())
     assert len(block(rows).rows) == 1
     with pytest.raises(ValueError, match=f"{said} .*journal"):

@@ -39,8 +39,8 @@ def supervised(values, plant, command, samples):
     for k in range(samples):
         supervisor.command(command(k * PERIOD))
         s = valve.step(p, s, supervisor.sample(valve.read(p, s, noise[k]), k + 1))
-        if supervisor.changed:
-            supervisor.changed = False
+        if supervisor.memory.changed:
+            supervisor.memory.changed = False
             said.append((k * PERIOD, supervisor.reason))
     return said, supervisor
 
@@ -64,7 +64,7 @@ def test_limit_cycle_of_the_shipped_laws_on_a_third_order_valve_is_reported(conf
     assert low < float(words[3]) < high and float(words[6]) == pytest.approx(10.0, abs=0.5)
     assert sentence.endswith("limit cycle of law and valve")
     assert any("at the limit of the voltage" in text for _, text in said)
-    assert supervisor.counts["safe_stops"] == 1
+    assert supervisor.memory.counts["safe_stops"] == 1
 
 
 def found(voltage, command=None, amplitude=1.0, period=PERIOD):

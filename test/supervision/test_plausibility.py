@@ -73,12 +73,12 @@ def test_flipped_sign_is_switched_off_within_a_tenth_of_a_second_and_held_off(la
     loop = moving(law, amplitude, plant=plant).run(moment)
     n, _ = until_safe(loop, flipped, 1000)
     assert n <= 150
-    before = loop.supervisor.counts["safe_stops"]
+    before = loop.supervisor.memory.counts["safe_stops"]
     said, largest = words(loop, flipped, 4000)
     assert "LVDT readings disagree with the voltage: wrong sign" in said
     assert largest <= 6.0  # never again to the limit
     on = sum(abs(v) > 0.0 for v in loop.voltages[-4000:])
-    assert on < 1000 and loop.supervisor.counts["safe_stops"] - before <= 4  # less and less often
+    assert on < 1000 and loop.supervisor.memory.counts["safe_stops"] - before <= 4  # less and less often
     loop.run(6000)
     assert believed(loop)
 
@@ -125,7 +125,7 @@ def test_reset_ends_the_doubt_and_the_readings_have_to_prove_it():
 )
 def test_sound_readings_are_never_doubted(law, plant, motion):
     loop = moving(law, *motion, plant).run(2500)
-    assert loop.supervisor.counts["safe_stops"] == loop.supervisor.counts["lvdt_refused"] == 0
+    assert loop.supervisor.memory.counts["safe_stops"] == loop.supervisor.memory.counts["lvdt_refused"] == 0
 
 
 def test_slope_is_that_of_the_voltage_without_its_friction():

@@ -35,7 +35,7 @@ def test_no_false_alarm_of_the_lvdt_with_the_usual_gains(config, law, bits, plan
     own = files.load(str(config / "d3fxe.yaml"))["controller"] if plant else {}
     loop = Loop({"controller": law, **own}, {**plant, "lvdt.resolution": BITS[bits]})
     loop.run(2200, COMMANDS[command])
-    assert loop.supervisor.counts["safe_stops"] == 0
+    assert loop.supervisor.memory.counts["safe_stops"] == 0
     assert not [name for name in loop.names if name.startswith("lvdt")]
 
 

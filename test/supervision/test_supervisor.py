@@ -6,7 +6,6 @@ import copy
 import math
 import sys
 import types
-from typing import NamedTuple
 
 import changed
 import numpy as np
@@ -17,12 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from valve_control.control.laws import registry, reshaping
-from valve_control.control.laws.projection import Theta
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND, CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.simulation import offline
-from valve_control.control.supervision import bumpless_transfer
 from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import ParameterError, defaults, lookup, updated
@@ -119,7 +116,7 @@ def test_unbelievable_readings_are_bridged_then_switched_off(law, name):
     assert loop.supervisor.mode is Mode.SAFE and name in loop.supervisor.conditions
     loop.run(600, spoil=SPOILT[name])
     if name == "lvdt_jump":  # tried again, but 8 V beside the truth do not answer the voltage
-        assert loop.supervisor.counts["safe_stops"] >= 1 and max(map(abs, loop.voltages[-600:])) <= 6.0
+        assert loop.supervisor.memory.counts["safe_stops"] >= 1 and max(map(abs, loop.voltages[-600:])) <= 6.0
     else:
         assert loop.voltages[-1] == 0.0
 
@@ -129,12 +126,15 @@ def test_one_reading_beside_the_others_is_bridged_and_the_next_one_is_believed(w
     """0.4 V are within lvdt.max_rate (0.6 V a sample), but not where the readings before lead."""
     loop = Loop("dcarc").run(400)
     held = loop.supervisor.voltage
-    assert loop.step(lambda reading: reading + wrong) == held and loop.supervisor.counts["lvdt_refused"] == 1
+    assert (
+        loop.step(lambda reading: reading + wrong) == held
+        and loop.supervisor.memory.counts["lvdt_refused"] == 1
+    )
     assert "lvdt_jump_bridged" in loop.supervisor.conditions
     for _ in range(200):
         loop.step()
         assert loop.supervisor.bridged == 0 and loop.supervisor.mode is not Mode.SAFE
-    assert loop.supervisor.counts["lvdt_refused"] == 1
+    assert loop.supervisor.memory.counts["lvdt_refused"] == 1
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -172,8 +172,8 @@ def test_lost_samples_are_counted_and_stepped_over(law):
     begin = len(loop.voltages)
     for _ in range(30):
         loop.run(5, send=False).run(20)
-    assert loop.supervisor.counts["lvdt_lost"] == 150
-    assert loop.supervisor.counts["safe_stops"] == 0
+    assert loop.supervisor.memory.counts["lvdt_lost"] == 150
+    assert loop.supervisor.memory.counts["safe_stops"] == 0
     # Six periods of the command's motion lie between two voltages now.
     assert loop.largest_step(begin) < 6.5 * usual
     assert "lvdt_bridged" in loop.supervisor.conditions
@@ -381,7 +381,7 @@ def test_a_law_that_raises_is_switched_off_with_error_line_and_time(monkeypatch,
     assert "(test_supervisor.py, line " in text and text.endswith(
         " after 0.041 s" if part == "step" else " after 0.042 s"
     )
-    assert loop.run(4000).supervisor.counts["law_not_finite"] <= 5  # after 0.3, 0.6, 1.2 and 2.4 s
+    assert loop.run(4000).supervisor.memory.counts["law_not_finite"] <= 5  # after 0.3, 0.6, 1.2 and 2.4 s
 
 
 # Anything at all
@@ -479,21 +479,3 @@ def test_voltage_is_given_once_and_is_the_one_returned(law, readings, lost):
         assert voltage == plain.sample(reading, number, PERIOD)
     assert giving.telemetry() == pytest.approx(plain.telemetry(), nan_ok=True, abs=0.0)
     assert giving.conditions == plain.conditions and giving.counts == plain.counts
-
-
-class Unbounded(NamedTuple):
-    """Params of a law of another package that adapts without ranges."""
-
-    theta_initial: Theta
-
-
-def test_estimates_of_a_law_without_ranges_are_told_as_they_are():
-    loop = Loop("arc")
-    loop.run(300)
-    theta = loop.supervisor.memory.law.theta._replace(b0=-1.0)
-    loop.supervisor.memory.law = loop.supervisor.memory.law._replace(theta=theta)
-    assert loop.supervisor.theta[2] == loop.supervisor._params.law.theta_min.b0
-    loop.supervisor._params = loop.supervisor._params._replace(law=Unbounded(theta))
-    assert loop.supervisor.theta == tuple(theta)
-    former = loop.supervisor.memory.law
-    assert bumpless_transfer.resumed(Unbounded(theta._replace(b0=2.0)), former) == Unbounded(theta)

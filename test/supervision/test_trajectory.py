@@ -95,9 +95,9 @@ def test_a_point_that_cannot_be_used_is_refused_in_one_sentence_and_the_last_one
     before = supervisor.memory.trajectory
     send(supervisor)
     supervisor.sample(0.001, 2)
-    assert supervisor.memory.trajectory == before and supervisor.command_in_force == 0.05
+    assert supervisor.memory.trajectory == before and supervisor.memory.command.value == 0.05
     assert text in supervisor.reason and supervisor.reason.count(".") <= 1
-    assert supervisor.mode is Mode.DEGRADED and supervisor.counts["command_refused"] == 1
+    assert supervisor.mode is Mode.DEGRADED and supervisor.memory.counts["command_refused"] == 1
     for k in range(3, 1100):
         supervisor.trajectory(Motion(0.05, 0.0, 0.0), 1.0 + k * PERIOD, 0.0)
         supervisor.sample(0.001 * (k % 3), k)
@@ -116,24 +116,24 @@ def test_a_clock_that_is_set_back_does_not_stop_the_motion(every):
     made_run = run(send, every, controller="open_loop")
     off = np.abs(made_run.command - made_run.wanted)[SETTLED:]
     assert np.max(off) < 0.001 + 2 * every * PERIOD * 2.0 * math.pi * 3.0
-    assert 1 <= made_run.supervisor.counts["command_refused"] <= 2
+    assert 1 <= made_run.supervisor.memory.counts["command_refused"] <= 2
 
 
 def test_both_at_once_the_trajectory_commands_and_it_is_said():
     supervisor = made(controller="open_loop", command_timeout=0.05)
     supervisor.command(0.02)
     supervisor.sample(0.0, 1)
-    assert supervisor.command_in_force == 0.02
+    assert supervisor.memory.command.value == 0.02
     for k in range(2, 40):
         supervisor.trajectory(Motion(0.05, 0.0, 0.0))
         supervisor.command(0.02)
         supervisor.sample(0.001 * (k % 3), k)
-        assert supervisor.command_in_force == 0.05
+        assert supervisor.memory.command.value == 0.05
         assert BOTH in supervisor.reason and supervisor.mode is Mode.DEGRADED
     for k in range(40, 200):  # the trajectory ends: commands count once it is silent
         supervisor.command(0.02)
         supervisor.sample(0.001 * (k % 3), k)
-        assert (supervisor.command_in_force == 0.02) == (k > 89)
+        assert (supervisor.memory.command.value == 0.02) == (k > 89)
     assert "command_silent" not in supervisor.conditions
 
 
@@ -146,12 +146,12 @@ def test_when_who_sent_the_trajectory_leaves_commands_count_at_once(gone):
     supervisor.sample(0.001, 2)
     supervisor.command(0.02)
     supervisor.sample(0.0, 3)
-    assert supervisor.command_in_force == 0.02 and not supervisor.has_trajectory
+    assert supervisor.memory.command.value == 0.02 and supervisor.memory.trajectory is None
 
 
 def test_positions_beyond_the_limit_are_limited_and_stand_there():
     supervisor = made(controller="open_loop", command_limit=2.0)
     supervisor.trajectory(Motion(2.5, 40.0, 0.0))
-    assert supervisor.counts["command_limited"] == 1
+    assert supervisor.memory.counts["command_limited"] == 1
     limited = command_course.Params(0.006, 0.0, 2.0, PERIOD)
     assert trajectory.motion(limited, supervisor.memory.trajectory, 0.002) == Motion(2.0, 0.0, 0.0)

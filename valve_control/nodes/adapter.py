@@ -4,7 +4,6 @@
 
 import contextlib
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from struct import error as StructError
 from struct import pack, unpack_from
@@ -17,7 +16,6 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import (
     InvalidParameterTypeException,
     InvalidParameterValueException,
@@ -33,12 +31,11 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control import outputs
 from valve_control.control.parameters import arguments
-from valve_control.control.parameters.ros_file import as_text, from_text
+from valve_control.control.parameters.ros_file import from_text
 from valve_control.nodes.rclpy_internals import override
 from valve_control.nodes.services import Unwatched
 from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, missing, updated
 
-TELL = 0.5  # s between two lines of the log that tell changes of parameters, at the least
 PROCESS = 12  # bytes of an endpoint's address in DDS that all endpoints of a process have in common
 UNNUMBERED = 2**64 - 1  # in rmw's message info, of a middleware that numbers no messages, such as Cyclone DDS
 UNKNOWN = "this middleware numbers no messages: losses are unknown"
@@ -153,13 +150,10 @@ class ParameterSet:
             declared[parameter.name] = _declared(node, parameter)
         self.values = updated(table, {}, declared)
         self._prepared: tuple[Values, Any] | None = None
-        self._untold: set[str] = set()  # names whose new values are not in the log yet
-        self._told = -TELL  # s
         apply(self.values, build(self.values))
         node.add_pre_set_parameters_callback(self._known)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._use)
-        node.create_timer(TELL, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _known(self, parameters: list[Any]) -> list[Any]:
         unknown = [p.name for p in parameters if not self._node.has_parameter(p.name)]
@@ -191,22 +185,9 @@ class ParameterSet:
         if self._prepared is None or self._prepared[0] != values:
             self._prepared = (values, self._build(values))
         built = self._prepared[1]
-        changed = [name for name in values if values[name] != self.values[name]]
-        if not changed:
-            return
-        self.values = values
-        self._apply(values, built)
-        self._untold.update(changed)
-        if time.monotonic() >= self._told + TELL:
-            self._tell()
-
-    def _tell(self) -> None:
-        """Log what has changed. A line costs as much as the change: many changes at once share one."""
-        if self._untold:
-            self._told = time.monotonic()
-            text = ", ".join(f"{name} = {as_text(self.values[name])}" for name in sorted(self._untold))
-            self._untold.clear()
-            self._node.get_logger().info(f"now {text}")
+        if values != self.values:
+            self.values = values
+            self._apply(values, built)
 
 
 def number_of(info: Mapping[str, Any]) -> int:

@@ -5,7 +5,7 @@
 import math
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -23,7 +23,7 @@ from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.supervision import rate
 from valve_control.control.supervision.cache_warming import CacheWarming
 from valve_control.control.supervision.command_course import Motion
-from valve_control.control.supervision.journal import OBSERVED, TYPES, Journal
+from valve_control.control.supervision.journal import OBSERVED, TYPES, Event, Journal
 from valve_control.control.supervision.record import Mode, named_terms
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.nodes import realtime
@@ -86,8 +86,8 @@ class Controller(Managed):
 
     def __init__(self, warms: bool = True, alone: bool = True, **options: Any) -> None:
         super().__init__("controller", **options)
-        self._supervisor = Supervisor()
-        self._journal = Journal(self._supervisor)
+        self._journal = Journal()
+        self._supervisor = Supervisor(self._journal.note)
         self._warming = CacheWarming() if warms else None
         self._said: tuple[Mode, str] | None = None
         self._announced: dict[str, float] = {}  # s, when a change was last told, by source
@@ -105,7 +105,7 @@ class Controller(Managed):
         self._strange: dict[str, int] = {}  # of those with another message type
         self._rivals = Rivals(self)
         self._telemetry = Telemetry(self)
-        self._journal_topics = JournalTopics(self, self._journal)
+        self._journal_topics = JournalTopics(self, self._journal, self._supervisor)
         self._timing = Timing()
         self._last_command = NEVER  # wall time of the last one
         self._commanded = False  # whether there has been an upper level
@@ -134,7 +134,7 @@ class Controller(Managed):
     def _apply(self, values: Values, built: Built) -> None:
         params, wanted, terms = built
         self._values = values
-        self._journal.apply(values, params)
+        self._supervisor.apply(values, params)
         self._params = params
         self._period = parameter.number(values, "sample_period")
         self._paced = parameter.number(values, "lvdt.period_limit") < rate.ANY
@@ -180,9 +180,7 @@ class Controller(Managed):
         self._trajectories = PointSubscription(self, "spool_trajectory", qos)
         self._readings = self._source(qos)
         sources = (self._commands, self._trajectories)
-        self._lockstep = (
-            Lockstep(self, sources, self._use_paired, self._acquainted) if self._in_lockstep else None
-        )
+        self._lockstep = Lockstep(self, sources, self._use, self._acquainted) if self._in_lockstep else None
 
     def _source(self, qos: QoSProfile) -> NumberSubscription:
         """Readings of the LVDT with their numbers."""
@@ -211,7 +209,7 @@ class Controller(Managed):
             for topic in (self._readings, self._commands, self._trajectories):
                 for _ in topic.take():
                     pass
-        self._journal.start()
+        self._supervisor.start()
         self._journal_topics.publish()
         self._said = None
         self._seen = time.monotonic()
@@ -230,7 +228,7 @@ class Controller(Managed):
 
     def end(self) -> None:
         """Publish 0 V once and stop."""
-        voltage = self._journal.stop()
+        voltage = self._supervisor.stop()
         if not self._rivals.stands_by:
             self._publish(voltage)
         self._journal_topics.publish()
@@ -284,8 +282,8 @@ class Controller(Managed):
             self._take_commands()
             if self._pace is not None:
                 self._pace = rate.interrupted(self._pace)
-            voltage = self._journal.silence(self._elapsed(now), self._catching_up)
-            if not math.isnan(voltage):
+            voltage = self._supervisor.silence(self._elapsed(now), self._catching_up)
+            if self._supervisor.begun:
                 self._publish(voltage)
             self._watch_at = now + REMIND
             worked = True
@@ -299,7 +297,8 @@ class Controller(Managed):
         """Publish telemetry, and diagnostics if something has changed."""
         self._telemetry.publish()
         self._journal_topics.publish_many()
-        if self.working and self._supervisor.changed and self._may_tell(self._supervisor.mode is Mode.SAFE):
+        supervisor = self._supervisor
+        if self.working and supervisor.memory.changed and self._may_tell(supervisor.mode is Mode.SAFE):
             self._announce()
 
     def _may_tell(self, safe: bool, of: str = "supervisor") -> bool:
@@ -334,10 +333,10 @@ class Controller(Managed):
             arrivals = self._timing.arrivals
             self._catching_up = bool(arrivals) and began - arrivals[-1] < 0.5 * self._period
         if self._catching_up:
-            self._publish(self._journal.skip(reading, number, self._elapsed(began)))
+            self._publish(self._supervisor.skip(reading, number, self._elapsed(began)))
         else:
             elapsed = self._elapsed(began)
-            self._journal.sample(reading, number, 0.0 if self._in_lockstep else elapsed, self._publish)
+            self._supervisor.sample(reading, number, 0.0 if self._in_lockstep else elapsed, self._publish)
         ended = time.monotonic()
         latency = (self._published - info["source_timestamp"]) * 1e-9
         self._timing.note(began, ended, latency, self._period)
@@ -350,7 +349,7 @@ class Controller(Managed):
 
     def _awaits_period(self, before: rate.State, number: int, now: float) -> bool:
         """Whether reading ``number`` at ``now`` [s] is not used: a first voltage needs the right period."""
-        expected = self._supervisor.expected_pace
+        expected = self._supervisor.params.lvdt.pace
         periods = max(1, number - self._last_number) if self._last_number else 1
         self._last_number = number
         pace = rate.step(expected, before, self._elapsed(now), periods)
@@ -381,38 +380,33 @@ class Controller(Managed):
         self._published = time.time_ns()
 
     def _take_commands(self) -> None:
-        """Pass waiting commands to the supervisor; times mean nothing where readings may come at any pace."""
-        for command, info in self._commands.take():
-            self._use_command(command, info["source_timestamp"] * self._paced, self._since(info))
-        for point, info in self._trajectories.take():
-            stamp = point.time or info["source_timestamp"]
-            self._use_point(point, stamp, self._since(info) if self._paced else math.nan)
+        """Pass waiting commands to the supervisor."""
+        for source in (self._commands, self._trajectories):
+            for message, info in source.take():
+                self._use(message, info)
 
-    def _since(self, info: dict[str, Any]) -> float:
-        """How long [s] after the last reading or silence a message came: by the middleware, or by now."""
-        received = info["received_timestamp"]
-        ago = (time.time_ns() - received) * 1e-9 if received else 0.0
-        return time.monotonic() - self._seen - ago
+    def _use(self, message: float | TrajectoryPoint, info: Mapping[str, Any] = {}) -> None:  # noqa: B006
+        """Pass on a command or a point.
 
-    def _use_command(self, command: float, stamp: int = 0, since: float = 0.0) -> None:
-        self._journal.command(command, stamp, since)
-        self._last_command = time.monotonic()
-
-    def _use_point(self, point: TrajectoryPoint, stamp: int = 0, since: float = 0.0) -> None:
-        counts = len(point.positions), len(point.velocities), len(point.accelerations)
+        Times mean nothing in lockstep, without ``info``, and where readings may come at any pace.
+        """
+        since = math.nan
+        if info and self._paced:  # s after the last reading or silence, by the middleware, or by now
+            received = info["received_timestamp"]
+            ago = (time.time_ns() - received) * 1e-9 if received else 0.0
+            since = time.monotonic() - self._seen - ago
+        supervisor, journal, sent = self._supervisor, self._journal, info.get("source_timestamp", 0)
+        if not isinstance(message, TrajectoryPoint):
+            supervisor.command(message, journal.seconds(Event.COMMAND, sent * self._paced), since)
+            self._last_command = time.monotonic()
+            return
+        counts = len(message.positions), len(message.velocities), len(message.accelerations)
         if counts == (1, 1, 1):
-            motion = Motion(*point.positions, *point.velocities, *point.accelerations)
-            self._journal.trajectory(motion, stamp, since)
+            motion = Motion(*message.positions, *message.velocities, *message.accelerations)
+            supervisor.trajectory(motion, journal.seconds(Event.TRAJECTORY, message.time or sent), since)
             self._last_command = time.monotonic()
         else:
-            self._journal.trajectory_refused(*counts)
-
-    def _use_paired(self, command: float | TrajectoryPoint) -> None:
-        """In lockstep times of sending mean nothing."""
-        if isinstance(command, TrajectoryPoint):
-            self._use_point(command, command.time, math.nan)
-        else:
-            self._use_command(command)
+            supervisor.trajectory_refused(*counts)
 
     def _acquainted(self) -> bool:
         """Whether who gives the readings will hear the voltages."""
@@ -429,16 +423,16 @@ class Controller(Managed):
             if count != self._counts.get(topic):  # their types take longer
                 types = [info.topic_type for info in self.get_publishers_info_by_topic(topic)]
                 self._strange[topic] = len(types) - types.count(TYPES[topic])
-            self._journal.publishers(topic, -self._strange[topic] or count)
+            self._supervisor.publishers(topic, -self._strange[topic] or count)
         self._counts = counts
         self._give_way(counts["valve_voltage"] > 1)
         commanded = any(counts[topic] > self._strange[topic] for topic in COMMANDING)
         self._commanded = self._commanded or commanded
         if self._commanded and not self._in_lockstep:
             if not commanded:
-                self._journal.command_gone()
+                self._supervisor.command_gone()
             elif counts["spool_trajectory"] == self._strange["spool_trajectory"]:
-                self._journal.trajectory_gone()
+                self._supervisor.trajectory_gone()
 
     def _give_way(self, several: bool) -> None:
         """Stop while somebody else controls this valve, and begin again when he does not."""
@@ -447,7 +441,7 @@ class Controller(Managed):
         if not self._rivals.changed(self._period):
             return
         if self._rivals.stands_by:
-            self._publish(self._journal.stop())
+            self._publish(self._supervisor.stop())
             self._watch_at = self._warm_at = NEVER
             self.get_logger().error(f"safe: {STANDS_BY}")
         else:
@@ -468,7 +462,7 @@ class Controller(Managed):
 
     def _on_reset(self, request: Any, response: Any) -> Any:
         def reset() -> str:
-            self._journal.reset()
+            self._supervisor.reset()
             return "estimates and filters are at their start"
 
         return self._answered(response, reset, "not reset")
@@ -514,7 +508,7 @@ class Controller(Managed):
     def _announce(self) -> None:
         """Log a change of mode or reason once, and publish it at once."""
         supervisor = self._supervisor
-        supervisor.changed = False
+        supervisor.memory.changed = False
         now = (supervisor.mode, supervisor.reason)
         if now != self._said:
             before = self._said[0].name.lower() if self._said else "off"
@@ -544,19 +538,19 @@ class Controller(Managed):
         return LEVELS[self._supervisor.mode], self._supervisor.reason
 
     def _figures(self) -> dict[str, Any]:
-        supervisor = self._supervisor
+        supervisor, memory = self._supervisor, self._supervisor.memory
         values: dict[str, Any] = {
             "controller": supervisor.name,
             "active": self.working,
             "mode": supervisor.mode.name.lower(),
             "conditions": ", ".join(supervisor.conditions),
-            "samples": supervisor.samples,
-            **supervisor.counts,
+            "samples": memory.samples,
+            **memory.counts,
             "overruns": self._timing.overruns,
             "voltage_V": f"{supervisor.voltage:.4f}",
         }
-        if supervisor.samples:
-            values["saturation_share"] = f"{supervisor.counts['saturated'] / supervisor.samples:.4f}"
+        if memory.samples:
+            values["saturation_share"] = f"{memory.counts['saturated'] / memory.samples:.4f}"
         if math.isfinite(self._last_command):
             values["command_age_s"] = f"{time.monotonic() - self._last_command:.4f}"
         values |= self._timing.figures(self._period)

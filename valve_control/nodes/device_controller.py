@@ -21,7 +21,7 @@ from valve_control.nodes.lockstep import COMMANDING
 from valve_control.nodes.rclpy_internals import sender
 from valve_control.parameter import ParameterError, Values, number, word
 
-OWN = frozenset(parameter.name for parameter in CONTROLLER)
+OWN = {parameter.name for parameter in CONTROLLER}
 
 
 class DeviceReadings:
@@ -55,9 +55,9 @@ class DeviceController(DeviceNode, Controller):
     """
 
     table = CONTROLLER + DEVICE
+    live = frozenset(LIVE | OWN - {"sample_period"})
 
     def __init__(self, **options: Any) -> None:
-        self._device_values: Values = {}
         self._alone = options.get("warms", True)
         self._ready_at = 0.0  # s, from when on the next reading is waited for
         self._asked_at = 0.0  # s, when it was last asked for
@@ -68,8 +68,7 @@ class DeviceController(DeviceNode, Controller):
         super().__init__(**options)
 
     def _build(self, values: Values) -> Built:
-        fixed = [n for n in self._device_values if n not in OWN | LIVE or n == "sample_period"]
-        self.refuse_changes(fixed, values)
+        self.refuse_changes(values)
         if not drivers.device(values).polled and not self._alone:
             raise ParameterError(
                 f"driver is '{values['driver']}', which waits for its device and would hold up the other "
@@ -80,15 +79,9 @@ class DeviceController(DeviceNode, Controller):
         return super()._build(values)
 
     def _apply(self, values: Values, built: Built) -> None:
-        self._device_values = values
+        self.use(values)
         self._every = int(number(values, "signal_decimation"))
-        if self._device is not None:
-            self._device.limit(*drivers.sides(values))
         super()._apply({name: value for name, value in values.items() if name in OWN}, built)
-
-    def device_values(self) -> Values:
-        """The parameters in use, of controller and device."""
-        return self._device_values
 
     # Life
 
@@ -153,11 +146,11 @@ class DeviceController(DeviceNode, Controller):
         if not self._begun:
             self._begun = True
             self._device.enable(True)
-        before = self._supervisor.samples
+        before = self._supervisor.memory.samples
         self._asked_at = time.monotonic()
         self._from_device.held = self._waits
         worked = super().work()
-        waits = not (self._device.polled or self._in_lockstep) and self._supervisor.samples != before
+        waits = not (self._device.polled or self._in_lockstep) and self._supervisor.memory.samples != before
         self._ready_at = self._timing.arrivals[-1] + WARMING * self._period if waits else 0.0
         return worked or not self._waits
 
@@ -217,7 +210,7 @@ class DeviceController(DeviceNode, Controller):
         return max(levels), "; ".join([text, *(condition.text for condition in self._told)])
 
     def _figures(self) -> dict[str, Any]:
-        values = {**super()._figures(), "driver": word(self._device_values, "driver")}
+        values = {**super()._figures(), "driver": word(self.device_values, "driver")}
         names = [*self._supervisor.conditions, *(condition.name for condition in self._told)]
         values["conditions"] = ", ".join(names)
         if self._device is not None:

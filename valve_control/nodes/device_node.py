@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A managed node that has a device: it is open from the configuration to the clean-up."""
 
-from collections.abc import Iterable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -21,25 +20,26 @@ MOST_MISSING = 100  # readings that are published as NaN; a larger gap is silenc
 class DeviceNode(Managed):
     """Opens the device of ``device_values``; without it the node stays unconfigured."""
 
+    live: frozenset[str]  # parameters that an open device may change
+
     def __init__(self, *arguments: Any, **options: Any) -> None:
+        self.device_values: Values = {}  # in use
         self._device: Device | None = None  # None: it is not open
-        self._refusal = ""  # why it could not be opened
-        self._starts = False  # by itself, which ends the process with the reason
         self._told: tuple[Condition, ...] = ()
         super().__init__(*arguments, **options)
 
-    def device_values(self) -> Values:
-        """The parameters in use."""
-        raise NotImplementedError
+    def refuse_changes(self, values: Values) -> None:
+        """Raise ParameterError if ``values`` change a parameter of an open device that is not ``live``."""
+        former = self.device_values if self._device is not None else {}
+        for name, value in former.items():
+            if name not in self.live and values[name] != value:
+                raise ParameterError(f"{name} of an open device does not change; clean the node up first")
 
-    def refuse_changes(self, fixed: Iterable[str], values: Values) -> None:
-        """Raise ParameterError if ``values`` change one of the ``fixed`` parameters of an open device."""
-        if self._device is None:
-            return
-        former = self.device_values()
-        changed = [name for name in fixed if values[name] != former[name]]
-        if changed:
-            raise ParameterError(f"{changed[0]} of an open device does not change; clean the node up first")
+    def use(self, values: Values) -> None:
+        """Take ``values`` into use for the device."""
+        self.device_values = values
+        if self._device is not None:
+            self._device.limit(*drivers.sides(values))
 
     def differ(self, conditions: tuple[Condition, ...]) -> bool:
         """Whether these are other conditions than those that were told last."""
@@ -59,25 +59,26 @@ class DeviceNode(Managed):
 
     def autostart(self) -> None:
         """Configure and activate. Raises ParameterError if the device cannot be opened."""
-        self._starts = True
-        self.trigger_configure()
-        self._starts = False
-        if self._refusal:
-            raise ParameterError(self._refusal)
-        self.trigger_activate()
+        try:
+            self._acquire()
+        except DriverError as error:
+            raise ParameterError(str(error)) from error
+        super().autostart()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the device."""
-        device = drivers.device(self.device_values())
         try:
-            device.open()
+            self._acquire()
         except DriverError as error:
-            self._refusal = str(error)
-            if not self._starts:
-                self.get_logger().error(self._refusal)
+            self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
-        self._device, self._refusal = device, ""
         return super().on_configure(state)
+
+    def _acquire(self) -> None:
+        if self._device is None:
+            device = drivers.device(self.device_values)
+            device.open()
+            self._device = device
 
     def close(self) -> None:
         """Close the device too."""

@@ -220,8 +220,9 @@ class Recorder(Worker):
         use = self._settings
         self._topics: dict[str, Recorded] = {}
         self._left_out: set[str] = set()
-        self._strangers: dict[str, dict[bytes, str]] = {}  # topic → publisher of another type → what is said
         self._overlooked: dict[str, str] = {}  # what a controller takes and no pattern names → what is said
+        self._warnings: set[str] = set()  # that hold now
+        self._logged: set[str] = set()  # warnings
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
         self._definitions = Definitions()
         self._failed = False
@@ -233,7 +234,7 @@ class Recorder(Worker):
         except BagError as error:
             raise ParameterError(str(error)) from error
         self._captured = ParameterCapture(self, self._write_parameters)
-        self._record(EVENTS, EVENT_TYPE)
+        self._record(EVENTS, EVENT_TYPE, [])
         now = time.monotonic()
         self._next = self._look_at = now
         self._flush_at = now + use.flush_period
@@ -328,79 +329,65 @@ class Recorder(Worker):
     # The graph
 
     def _look(self) -> None:
-        """Subscribe to new topics, and note who publishes."""
+        """Subscribe to new topics, note who publishes, and warn at once of what is not recorded."""
+        warnings = set()
         for name, _ in self.get_topic_names_and_types():
-            if name not in self._topics and any(p.fullmatch(name) for p in self._settings.patterns):
-                self._meet(name)
-        for name, topic in self._topics.items():
+            known = name in self._topics or any(p.fullmatch(name) for p in self._settings.patterns)
+            if not known or name in self._left_out:
+                continue
             infos = self.get_publishers_info_by_topic(name)
-            self._compare(name, topic.type_name, infos)
-            infos = [info for info in infos if info.topic_type == topic.type_name]
-            topic.look({bytes(info.endpoint_gid) for info in infos})
-            for data, info in topic.adapt([info.qos_profile for info in infos]) if infos else ():
-                self._write(topic, info["received_timestamp"] or time.time_ns(), data, info)
+            type_name = self._topics[name].type_name if name in self._topics else self._type_of(name, infos)
+            ours = [info for info in infos if info.topic_type == type_name]
+            if ours and name not in self._topics:
+                self._record(name, type_name, ours)
+            if topic := self._topics.get(name):
+                topic.look({bytes(info.endpoint_gid) for info in ours})
+                for data, info in topic.adapt([info.qos_profile for info in ours]) if ours else ():
+                    self._write(topic, info["received_timestamp"] or time.time_ns(), data, info)
+            warnings |= {
+                f"{name} is published as {info.topic_type} by "
+                f"{info.node_namespace.rstrip('/')}/{info.node_name}: these messages are not recorded, "
+                f"the bag takes {type_name}"
+                for info in infos
+                if info.topic_type != type_name
+            }
             if CONTROLLER.fullmatch(name) and not self._settings.chosen:
-                for info in infos:
+                for info in ours:
                     self._look_at_controller(info.node_name, info.node_namespace)
+        warnings.update(self._overlooked.values())
+        for text in sorted(warnings - self._logged):
+            self.get_logger().warning(text)
+        self._logged |= warnings
+        if warnings != self._warnings:
+            self._warnings = warnings
+            self._publish_status()
         self._captured.look()
 
     def _look_at_controller(self, name: str, namespace: str) -> None:
-        """Warn of signals that a controller takes under other names than those that are recorded."""
+        """Note signals that a controller takes under other names than those that are recorded."""
         try:
             taken = self.get_subscriber_names_and_types_by_node(name, namespace)
         except RuntimeError:  # it has just gone, or its name is not known yet
             return
         for topic, types in taken:
             named = any(pattern.fullmatch(topic) for pattern in self._settings.patterns)
-            if named or topic in self._overlooked or not set(types) & {*SIGNALS}:
-                continue
-            if self.count_publishers(topic):
-                text = (
-                    f"{namespace.rstrip('/')}/{name} takes {topic}, which is not recorded: name it in topics"
-                )
-                self._overlooked[topic] = text
-                self.get_logger().warning(text)
-                self._publish_status()
+            if not named and set(types) & {*SIGNALS} and self.count_publishers(topic):
+                node = f"{namespace.rstrip('/')}/{name}"
+                self._overlooked[topic] = f"{node} takes {topic}, which is not recorded: name it in topics"
 
-    def _meet(self, name: str) -> None:
-        """Record a topic, with the type that this package's nodes use, else with the most frequent one.
+    def _type_of(self, name: str, infos: Sequence[Any]) -> str:
+        """Type with which this package's nodes use a topic, else the most frequent one.
 
         A topic of theirs that nobody publishes with their type waits, unless the user chose the topics.
         """
-        infos = self.get_publishers_info_by_topic(name)
         types = Counter(info.topic_type for info in infos)
         usual = usual_type(name)
-        if usual is not None and usual in types:
-            self._record(name, usual)
-        elif types and (usual is None or self._settings.chosen):
-            self._record(name, types.most_common(1)[0][0])
-        elif usual is not None:
-            self._compare(name, usual, infos)
+        if usual is not None and (usual in types or not self._settings.chosen):
+            return usual
+        return types.most_common(1)[0][0] if types else ""
 
-    def _compare(self, name: str, type_name: str, infos: Sequence[Any]) -> None:
-        """Warn at once of publishers of ``name`` with another type than ``type_name``, which is recorded."""
-        strangers = {
-            bytes(info.endpoint_gid): f"{name} is published as {info.topic_type} by "
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}: these messages are not recorded, "
-            f"the bag takes {type_name}"
-            for info in infos
-            if info.topic_type != type_name
-        }
-        known = self._strangers.get(name, {})
-        self._strangers[name] = strangers
-        for publisher, text in strangers.items():
-            if known.get(publisher) != text:  # the name of a node may become known after its publisher
-                self.get_logger().warning(text)
-        if strangers != known:
-            self._publish_status()
-
-    def _record(self, name: str, type_name: str) -> None:
+    def _record(self, name: str, type_name: str, infos: Sequence[Any]) -> None:
         """Subscribe to a topic and announce it to the bag, unless its type is not installed."""
-        if name in self._left_out:
-            return
-        infos = [i for i in self.get_publishers_info_by_topic(name) if i.topic_type == type_name]
-        if not infos and name != EVENTS:
-            return
         topic = None
         try:
             topic = Recorded(self, name, type_name, message_class(type_name))
@@ -431,10 +418,8 @@ class Recorder(Worker):
         """Publish diagnostics: what is recorded, and what is not."""
         self._status_at = time.monotonic() + STATUS_PERIOD
         level, text = DiagnosticStatus.OK, "recording"
-        said = [text for strangers in self._strangers.values() for text in strangers.values()]
-        said += self._overlooked.values()
-        if said:
-            level, text = DiagnosticStatus.WARN, "; ".join(sorted(said))
+        if self._warnings:
+            level, text = DiagnosticStatus.WARN, "; ".join(sorted(self._warnings))
         self._diagnostics.publish(diagnostics(self, level, text, self._figures()))
 
     def _figures(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Any
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
 
 from valve_control.control.supervision.journal import Journal
+from valve_control.control.supervision.state_snapshot import snapshot
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.nodes.adapter import SAMPLES, encoded, head
 
@@ -66,7 +67,7 @@ class Telemetry:
 
     def note(self, supervisor: Supervisor) -> None:
         """Take in the sample that ``supervisor`` has answered, if it is one of those that are published."""
-        if self._every > 0 and supervisor.samples % self._every == 0:
+        if self._every > 0 and supervisor.memory.samples % self._every == 0:
             self._samples.append(supervisor.telemetry())
 
     def publish(self) -> None:
@@ -80,11 +81,12 @@ class Telemetry:
 
 
 class JournalTopics:
-    """Publishes the rows of a journal, and now and then a snapshot of all that its supervisor remembers."""
+    """Publishes the rows of a journal, and now and then a snapshot of all that the supervisor remembers."""
 
-    def __init__(self, node: Any, journal: Journal) -> None:
+    def __init__(self, node: Any, journal: Journal, supervisor: Supervisor) -> None:
         self._node = node
         self._journal = journal
+        self._supervisor = supervisor
         self._message = Float64MultiArray()
         self._period = 0.0  # s  of the snapshots; 0.0: nothing is published
         self._accounted = -math.inf  # s, last snapshot
@@ -139,6 +141,8 @@ class JournalTopics:
             self._message.data = rows
             self.publisher.publish(self._message)
         now = time.monotonic()
-        if self._journal.owes_account or now - self._accounted >= self._period:
-            self._accounted = now
-            self._memories.publish(String(data=self._journal.account()))
+        journal = self._journal
+        if journal.owes_account or now - self._accounted >= self._period:
+            self._accounted, journal.owes_account = now, False
+            account = snapshot(self._supervisor, journal.run, journal.count)
+            self._memories.publish(String(data=account))

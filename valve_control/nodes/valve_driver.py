@@ -10,7 +10,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool
 from valve_control.control.drivers import trial
 from valve_control.control.drivers.driver import Condition, DriverError
 from valve_control.control.parameters import drivers
-from valve_control.control.parameters.drivers import LIVE, VALVE_DRIVER, Sides
+from valve_control.control.parameters.drivers import LIVE, VALVE_DRIVER
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     NEWEST,
@@ -43,19 +43,14 @@ NEVER = math.inf
 SILENT = 3  # waits without a reading that make a condition
 
 
-class Built(NamedTuple):
-    """What is made of a set of values before it is taken into use."""
-
-    sides: Sides
-    realtime: realtime.Request
-
-
 class ValveDriver(DeviceNode):
     """Publishes `spool_position`, takes `valve_voltage`.
 
     One thread has the device: it waits for a reading, publishes it, waits for the voltage that answers it for
     most of the sample period, gives it, and waits for the next reading.
     """
+
+    live = LIVE
 
     def __init__(self, **options: Any) -> None:
         super().__init__("valve_driver", **options)
@@ -79,32 +74,25 @@ class ValveDriver(DeviceNode):
         ParameterSet(self, VALVE_DRIVER, self._build, self._apply)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        if self._values["autostart"]:
+        if self.device_values["autostart"]:
             self.autostart()
         else:
             self.get_logger().info("unconfigured, waits for lifecycle transitions")
 
-    def _build(self, values: Values) -> Built:
-        self.refuse_changes((name for name in values if name not in LIVE), values)
-        if self._device is None:
-            drivers.device(values)
-        return Built(drivers.sides(values), realtime.request(values))
+    def _build(self, values: Values) -> realtime.Request:
+        self.refuse_changes(values)
+        drivers.device(values)
+        return realtime.request(values)
 
-    def _apply(self, values: Values, built: Built) -> None:
-        self._values = values
-        if self._device is not None:
-            self._device.limit(*built.sides)
+    def _apply(self, values: Values, wanted: realtime.Request) -> None:
+        self.use(values)
         self._watchdog = number(values, "watchdog")
         self._wait = number(values, "answer_share") * number(values, "sample_period")
         if self.working and self._begun and self._on != (values["enable"] is True):
             self._switch(values["enable"] is True)
-        if built.realtime != self._realtime:
-            self._realtime = built.realtime
-            realtime.obtain(built.realtime, self.get_logger().warning)
-
-    def device_values(self) -> Values:
-        """The parameters in use."""
-        return self._values
+        if wanted != self._realtime:
+            self._realtime = wanted
+            realtime.obtain(wanted, self.get_logger().warning)
 
     # Life
 
@@ -132,7 +120,9 @@ class ValveDriver(DeviceNode):
         self._answers.clear()
         self._begun = False
         self._next = 0.0
-        self.get_logger().info(f"{word(self._values, 'driver')}: waiting for readings and valve_voltage")
+        self.get_logger().info(
+            f"{word(self.device_values, 'driver')}: waiting for readings and valve_voltage"
+        )
 
     def end(self) -> None:
         """Switch the output off."""
@@ -161,7 +151,7 @@ class ValveDriver(DeviceNode):
         assert self._device is not None
         if not self._begun:
             self._begun = True
-            self._switch(self._values["enable"] is True)
+            self._switch(self.device_values["enable"] is True)
         if self._take_voltage():
             if self._arrivals and not self._quiet:  # otherwise it answers no reading
                 self._answers.append(time.monotonic() - self._published)
@@ -267,7 +257,7 @@ class ValveDriver(DeviceNode):
     def _figures(self, conditions: tuple[Condition, ...]) -> dict[str, Any]:
         device = self._device
         values: dict[str, Any] = {
-            "driver": word(self._values, "driver"),
+            "driver": word(self.device_values, "driver"),
             "conditions": ", ".join(condition.name for condition in conditions),
             "readings": 0 if device is None else device.readings,
             "lost": 0 if device is None else device.lost,
@@ -276,7 +266,7 @@ class ValveDriver(DeviceNode):
             "position_V": f"{self._position:.4f}",
             "voltage_V": f"{self._voltage:.4f}",
         }
-        values |= of_periods(self._arrivals, number(self._values, "sample_period"))
+        values |= of_periods(self._arrivals, number(self.device_values, "sample_period"))
         values |= spread("answer_ms", self._answers)
         return {**values, **realtime.obtained()}
 

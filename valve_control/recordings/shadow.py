@@ -20,7 +20,7 @@ from valve_control.arrays import Floats, Integers
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.supervision.command_course import Motion
-from valve_control.control.supervision.journal import COLUMNS, COUNTED, Block, Event, observe
+from valve_control.control.supervision.journal import COLUMNS, COUNTED, Block, Event
 from valve_control.control.supervision.state_snapshot import restore, snapshot
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import ParameterError, defaults, updated
@@ -87,10 +87,10 @@ class _Replay:
         self._left_out: list[str] = []
         self._faithful = not overrides
         self._supervisor = Supervisor()
+        self._supervisor.answered = self._faithful and self.exact
         # In recordings that do not have this parameter yet a late command was held.
         self._values = {**defaults(CONTROLLER), "command.bridge": 0.0}
         self._supervisor.apply(self._values, build.law_params(self._values))
-        self._supervisor.answered = self._faithful and self.exact
 
     def run(self, told: Callable[[int], None] | None) -> Shadow:
         rows: list[Row] = []
@@ -127,7 +127,7 @@ class _Replay:
         return "the bag has no reading in this part"
 
     def _row(self, time: int, reading: float, recorded: float, voltage: float) -> Row:
-        command = self._supervisor.command_in_force
+        command = self._supervisor.memory.command.value
         return time, math.nan if command is None else command, reading, recorded, voltage
 
     def _use(self, recorded: Mapping[str, Any]) -> None:
@@ -247,7 +247,7 @@ class _ByJournal(_Replay):
                     return supervisor.sample(row[READING], None, elapsed + apart)
                 return supervisor.sample(row[READING], number, elapsed)
             case Event.STALL if not math.isnan(row[NUMBER]):
-                return supervisor.skip(row[ELAPSED])
+                return supervisor.skip(row[READING], row[NUMBER], row[ELAPSED])
             case Event.SILENCE | Event.STALL:
                 return supervisor.silence(row[ELAPSED], event is Event.STALL)
             case Event.START | Event.STOP:
@@ -262,7 +262,7 @@ class _ByJournal(_Replay):
             case Event.TRAJECTORY_GONE:
                 supervisor.trajectory_gone()
             case _ if event in COUNTED:
-                observe(supervisor, event, int(row[NUMBER]))
+                supervisor.publishers(COUNTED[event], int(row[NUMBER]))
         return None
 
     def _compare(self, answered: list[float]) -> None:

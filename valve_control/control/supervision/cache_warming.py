@@ -15,24 +15,24 @@ class CacheWarming:
     """A second supervisor with the same parameters, whose voltages are thrown away."""
 
     def __init__(self) -> None:
-        self._supervisor = Supervisor()
+        self._journal = Journal()
+        self._supervisor = Supervisor(self._journal.note)
         self._supervisor.answered = False
-        self._journal = Journal(self._supervisor)
         self._number = 0
 
     def apply(self, values: Values, params: object) -> None:
         """Take the same parameters into use as the real supervisor."""
-        self._journal.apply(values, params)
+        self._supervisor.apply(values, params)
 
     def start(self) -> None:
         """Begin at rest, together with the real supervisor."""
-        self._journal.start()
+        self._supervisor.start()
         self._journal.take()
 
     def warm(self, real: Supervisor) -> None:
         """Repeat the last answer of ``real``."""
-        if real.command_in_force is not None:
-            self._journal.command(real.command_in_force)
+        if real.memory.command.value is not None:
+            self._supervisor.command(real.memory.command.value)
         self._number += 1
-        self._journal.sample(real.measurement, self._number, 0.0)
+        self._supervisor.sample(real.memory.measurement, self._number, 0.0)
         self._journal.take()

@@ -30,22 +30,6 @@ ENOUGH = 4  # commands after which a course is no longer at its beginning
 GONE = 10.0  # times the time of the bridge, after which nothing is left of the motion
 
 
-def _fading(memory: float) -> tuple[float, float, float, float, float, float]:
-    """Gains of the fading memory of degree 3 for each derivative, times the interval's power.
-
-    Morrison, Introduction to Sequential Smoothing and Prediction (1969).
-    """
-    rest = 1.0 - memory
-    velocity = rest**2 * (11.0 + 14.0 * memory + 11.0 * memory**2) / 6.0
-    return 1.0 - memory**4, velocity, 2.0 * rest**3 * (1.0 + memory), rest**4, 0.0, 0.0
-
-
-SMOOTH_X, SMOOTH_V, SMOOTH_A, SMOOTH_J, SMOOTH_S, SMOOTH_C = _fading(MEMORIES[0])
-QUICK_X, QUICK_V, QUICK_A, QUICK_J, QUICK_S, QUICK_C = _fading(MEMORIES[1])
-# Of the polynomial through six commands, by Newton's backward differences: k!·e_k(1, 1/2, … 1/5)
-EXACT_X, EXACT_V, EXACT_A, EXACT_J, EXACT_S, EXACT_C = 1.0, 137.0 / 60.0, 15.0 / 4.0, 17.0 / 4.0, 3.0, 1.0
-
-
 class Motion(NamedTuple):
     """Of one moment."""
 
@@ -72,6 +56,21 @@ class Course(NamedTuple):
     jerk: float  # V/s³
     snap: float  # V/s⁴
     crackle: float  # V/s⁵
+
+
+def _fading(memory: float) -> Course:
+    """Gains of the fading memory of degree 3 for each derivative, times the interval's power.
+
+    Morrison, Introduction to Sequential Smoothing and Prediction (1969).
+    """
+    rest = 1.0 - memory
+    velocity = rest**2 * (11.0 + 14.0 * memory + 11.0 * memory**2) / 6.0
+    return Course(1.0 - memory**4, velocity, 2.0 * rest**3 * (1.0 + memory), rest**4, 0.0, 0.0)
+
+
+SMOOTH, QUICK = _fading(MEMORIES[0]), _fading(MEMORIES[1])
+# Of the polynomial through six commands, by Newton's backward differences: k!·e_k(1, 1/2, … 1/5)
+EXACT = Course(1.0, 137.0 / 60.0, 15.0 / 4.0, 17.0 / 4.0, 3.0, 1.0)
 
 
 class State(NamedTuple):
@@ -143,23 +142,10 @@ def taken(p: Params, s: State | None, command: float, sent: float, stamp: float)
     usual = math.sqrt(min(s.held_error, s.smooth_error, s.quick_error, s.exact_error))
     leaps = least > STEP * usual and least > PART * max(far, abs(s.change))
     leapt, known, common = leaps and not s.leapt, s.known, 0.0
-    span = max(elapsed, 0.5 * interval)
     if leapt:
-        smooth, quick, exact, common = (
-            moved(smooth, command), moved(quick, command), moved(exact, command), least
-        )  # fmt: skip
+        common = least
     else:
         known = 2 if leaps else min(s.known + 1, ENOUGH + 1)
-        if known <= ENOUGH:
-            smooth = started(smooth, command, rough, held, span, known)
-            quick = started(quick, command, near, held, span, known)
-            exact = started(exact, command, fine, held, span, known)
-        else:
-            smooth = corrected(
-                smooth, rough, span, SMOOTH_X, SMOOTH_V, SMOOTH_A, SMOOTH_J, SMOOTH_S, SMOOTH_C
-            )
-            quick = corrected(quick, near, span, QUICK_X, QUICK_V, QUICK_A, QUICK_J, QUICK_S, QUICK_C)
-            exact = corrected(exact, fine, span, EXACT_X, EXACT_V, EXACT_A, EXACT_J, EXACT_S, EXACT_C)
     worst = 4.0 * p.limit * p.limit
     held_error = faded(s.held_error, far - common, worst)
     smooth_error = faded(s.smooth_error, off - common, worst)
@@ -167,12 +153,12 @@ def taken(p: Params, s: State | None, command: float, sent: float, stamp: float)
     exact_error = faded(s.exact_error, beyond - common, worst)
     # A course that misses commands by more than a motion can begins at rest: the gains are those of even
     # intervals, and with others the polynomial through six commands may be unstable.
-    if smooth_error >= worst:
-        smooth = resting(command)
-    if quick_error >= worst:
-        quick = resting(command)
-    if exact_error >= worst:
-        exact = resting(command)
+    count = 0 if leapt else known
+    span = max(elapsed, 0.5 * interval)
+    change = held / span
+    smooth = renewed(smooth, SMOOTH, command, rough, change, span, 1 if smooth_error >= worst else count)
+    quick = renewed(quick, QUICK, command, near, change, span, 1 if quick_error >= worst else count)
+    exact = renewed(exact, EXACT, command, fine, change, span, 1 if exact_error >= worst else count)
     return State(
         command, sent, stamp, interval, held, known, leapt, smooth, quick, exact,
         held_error, smooth_error, quick_error, exact_error,
@@ -224,33 +210,37 @@ def moved(c: Course, command: float) -> Course:
     return Course(command, c.velocity, c.acceleration, c.jerk, c.snap, c.crackle)
 
 
-def started(c: Course, command: float, missed: float, change: float, span: float, count: int) -> Course:
-    """The polynomial through the first ``count`` commands, ``span`` [s] apart; it ``missed`` the newest."""
+def renewed(
+    c: Course, gains: Course, command: float, missed: float, change: float, span: float, count: int
+) -> Course:
+    """The course ``c`` after a ``command`` [V] that it ``missed`` [V], ``span`` [s] after the one before.
+
+    ``count``: of commands that it goes through; 0: it is moved by a step; 1: it begins at rest; 2: with
+    ``change`` [V/s]; above ENOUGH it is corrected by the ``gains`` of its derivatives.
+    """
+    if count == 0:
+        return moved(c, command)
+    if count == 1:
+        return resting(command)
     if count == 2:
-        return Course(command, change / span, 0.0, 0.0, 0.0, 0.0)
+        return Course(command, change, 0.0, 0.0, 0.0, 0.0)
     rate = missed / span
     bend = rate / span
     if count == 3:
         return Course(command, c.velocity + 1.5 * rate, c.acceleration + bend, 0.0, 0.0, 0.0)
-    velocity = c.velocity + 11.0 / 6.0 * rate
-    return Course(command, velocity, c.acceleration + 2.0 * bend, c.jerk + bend / span, 0.0, 0.0)
-
-
-def corrected(
-    c: Course, missed: float, span: float, x: float, v: float, a: float, j: float, s: float, q: float
-) -> Course:
-    """The course ``c`` after a command that it ``missed`` [V]; ``x`` to ``q``: gains of its derivatives."""
-    rate = missed / span
-    bend = rate / span
     jerk = bend / span
+    if count <= ENOUGH:
+        return Course(
+            command, c.velocity + 11.0 / 6.0 * rate, c.acceleration + 2.0 * bend, c.jerk + jerk, 0.0, 0.0
+        )
     snap = jerk / span
     return Course(
-        c.position + x * missed,
-        c.velocity + v * rate,
-        c.acceleration + a * bend,
-        c.jerk + j * jerk,
-        c.snap + s * snap,
-        c.crackle + q * snap / span,
+        c.position + gains.position * missed,
+        c.velocity + gains.velocity * rate,
+        c.acceleration + gains.acceleration * bend,
+        c.jerk + gains.jerk * jerk,
+        c.snap + gains.snap * snap,
+        c.crackle + gains.crackle * snap / span,
     )
 
 

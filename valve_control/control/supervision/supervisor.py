@@ -13,7 +13,7 @@ The steps are in watch.py, functions on one memory (record.py), from which expor
 is what only a node has: other laws and parameters, the period of the readings, counters and telemetry.
 
 Time is counted in samples, so that a run is repeatable; only the silence of the LVDT, during which no sample
-comes, has to be told from outside (``silence``).
+comes, has to be told from outside (``silence``). Each input is noted with its answer (journal.py).
 """
 
 import math
@@ -36,6 +36,7 @@ from valve_control.control.supervision import (
     trajectory,
     watch,
 )
+from valve_control.control.supervision.journal import OBSERVED, TYPES, Event
 from valve_control.control.supervision.record import (
     HEAD,
     Memory,
@@ -50,8 +51,8 @@ from valve_control.control.supervision.record import (
 from valve_control.parameter import Values, number, word
 
 
-def unused(voltage: float) -> None:
-    """Placeholder for a receiver of the voltage, where nobody needs it before the sample ends."""
+def unused(*values: float | None, command: float | None = None) -> None:
+    """Placeholder for a receiver of the voltage or of rows, where nobody needs them."""
 
 
 def are_finite(voltage: float, terms: tuple[float, ...]) -> bool:
@@ -60,28 +61,43 @@ def are_finite(voltage: float, terms: tuple[float, ...]) -> bool:
 
 
 class Supervisor:
-    """Controls one valve: takes readings and commands, returns voltages, and reports conditions."""
+    """Controls one valve: takes readings and commands, returns voltages, and reports conditions.
 
-    def __init__(self) -> None:
+    ``note`` gets each input with its answer, as ``Journal.note`` has it.
+    """
+
+    def __init__(self, note: Callable[..., None] = unused) -> None:
         self.name = ""  # of the law
         self.values: Values = {}  # in use
         self.memory = Memory()
-        self._answered = True
+        self.answered = True  # whether the valve of the readings gets these voltages; counts from apply on
         self._form: tuple[Any, ...] = ()  # after whose change the law's state means something else
         self._descriptor: Law | None = None
         self._watched: tuple[int, str] | None = None  # of the terms, and what is said if the next is below it
         self._terms: tuple[float, ...] = ()  # of the law at the last sample
-        self._give: Callable[[float], None] = unused
-        self._params: watch.Params  # these four from apply on
+        self._give: Callable[..., None] = unused
+        self._note: Callable[..., None] = unused
+        self.params: watch.Params  # these four from apply on
         self._saturation_limit: float  # s
         self._steps: types.SimpleNamespace
         self._sample: Callable[..., float]
-        self.start()
+        self._rest()
+        self._note = note
 
     # Life
 
     def start(self) -> None:
         """Begin at rest with 0 V, as after switching on; parameters and counters are kept."""
+        self._rest()
+        self._note(Event.START)
+
+    def stop(self) -> float:
+        """Go to rest; returns 0 V."""
+        self._rest()
+        self._note(Event.STOP, voltage=0.0)
+        return 0.0
+
+    def _rest(self) -> None:
         before, theta = self.memory, self.theta
         kept = before.kept if theta is None else (self.name, theta)
         self.memory = Memory(samples=before.samples, kept=kept, name=self.name, counts=before.counts)
@@ -89,9 +105,9 @@ class Supervisor:
 
     def apply(self, values: Values, params: Any) -> None:
         """Take checked ``values`` and the law's ``params`` built from them into use, between two samples."""
-        m, made, sent = self.memory, watch.design(values, params, self._answered), self.voltage
-        former = self._params if self._form else None
-        self.values, self._params = values, made
+        m, made, sent = self.memory, watch.design(values, params, self.answered), self.voltage
+        former = self.params if self._form else None
+        self.values, self.params = values, made
         self._saturation_limit = number(values, "saturation_limit")
         curve_changed = former is not None and made.line != former.line
         if former is not None and (made.lvdt.comparison != former.lvdt.comparison or curve_changed):
@@ -120,11 +136,12 @@ class Supervisor:
         if m.command.value is not None:
             m.command = m.command._replace(value=saturate(m.command.value, made.command.limit))
         self._use_law(values, params, None if former is None else former.law)
+        self._note(Event.PARAMETERS)
 
     def _use_law(self, values: Values, params: Any, former: Any) -> None:
         """Let another law, or another form of it, take over from the one with the params ``former``."""
         m, name = self.memory, word(values, "controller")
-        line = self._params.line
+        line = self.params.line
         form = (name, number(values, "sample_period"), line, *(values[key] for key in LAWS[name].form))
         estimates = getattr(params, "theta_initial", None)
         anew = form[0] == self.name and estimates != getattr(former, "theta_initial", None)
@@ -147,25 +164,26 @@ class Supervisor:
         if m.law is None:
             return
         if another_curve:
-            self._steps.take_over(self._params, m, None, True)
+            self._steps.take_over(self.params, m, None, True)
             return
         begun = m.law._replace(theta=estimates) if anew else m.law
         if same_reference and law.reshapes(params):
-            self._steps.go_on(self._params, m, begun, bumpless_transfer.followed(former, begun))
+            self._steps.go_on(self.params, m, begun, bumpless_transfer.followed(former, begun))
         else:
-            self._steps.take_over(self._params, m, begun, True)
+            self._steps.take_over(self.params, m, begun, True)
 
     def period_refusal(self, period: float) -> str:
         """One sentence why ``period`` [s] cannot become the sample period now, "" if it can."""
-        if not self._form or period == self._params.lvdt.period:
+        if not self._form or period == self.params.lvdt.period:
             return ""
-        return rate.refusal(self._params.lvdt.pace, self.memory.pace, period)
+        return rate.refusal(self.params.lvdt.pace, self.memory.pace, period)
 
     def reset(self) -> None:
         """Set estimates and filters to their start, without a bump; doubts about the LVDT are dropped."""
         self.memory.kept = ("", None)
         if self._form:
-            self._steps.reset(self._params, self.memory)
+            self._steps.reset(self.params, self.memory)
+        self._note(Event.RESET)
 
     # Inputs
 
@@ -175,7 +193,8 @@ class Supervisor:
         ``stamp`` [s]: when it was sent, by the sender's clock, NaN: unknown, it is that of the next sample.
         ``since`` [s]: how long after the last call of ``sample``, ``silence`` or ``skip`` it came.
         """
-        watch.command(self._params, self.memory, float(value), stamp, since)
+        watch.command(self.params, self.memory, float(value), stamp, since)
+        self._note(Event.COMMAND, stamp, since, command=value)
 
     def trajectory(self, point: trajectory.Motion, stamp: float = math.nan, since: float = 0.0) -> bool:
         """Take in a point of a trajectory from the upper level; whether it can be used.
@@ -183,27 +202,47 @@ class Supervisor:
         ``stamp``, ``since``: as of ``command``. A trajectory has precedence over commands for as long as it
         is not silent.
         """
-        return watch.trajectory(self._params, self.memory, point, stamp, since)
+        taken = watch.trajectory(self.params, self.memory, point, stamp, since)
+        times = (0.0, math.nan) if math.isnan(stamp) else (stamp, since)
+        self._note(Event.TRAJECTORY, point.velocity, point.acceleration, *times, command=point.position)
+        return taken
 
     def trajectory_refused(self, positions: int, velocities: int, accelerations: int) -> None:
         """A point of a trajectory came with so many entries."""
         count(self.memory, "command_refused")
         latch(self.memory, "command_refused", trajectory.refusal(positions, velocities, accelerations))
+        row = Event.TRAJECTORY_REFUSED, float(velocities), float(accelerations)
+        self._note(*row, command=float(positions))
 
     def trajectory_gone(self) -> None:
         """Who sent the trajectory has left, others have not: commands are taken again."""
-        watch.trajectory_gone(self.memory)
+        if self.memory.trajectory is not None:
+            watch.trajectory_gone(self.memory)
+            self._note(Event.TRAJECTORY_GONE)
 
     def command_gone(self) -> None:
         """Report that the upper level has left: its command counts as silent at once."""
-        watch.command_gone(self.memory)
+        if self.memory.command.gone_since is None:
+            watch.command_gone(self.memory)
+            self._note(Event.COMMAND_GONE)
 
-    def observe(self, name: str, text: str) -> None:
-        """Report ``text`` under ``name``, a condition seen from outside; "" ends it."""
-        if text != self.conditions.get(name, ""):
-            clear(self.memory, name)
-            if text:
-                report(self.memory, name, text)
+    def observe(self, name: str, text: str) -> bool:
+        """Report ``text`` under ``name``, a condition seen from outside; "" ends it. Whether that is new."""
+        if text == self.conditions.get(name, ""):
+            return False
+        clear(self.memory, name)
+        if text:
+            report(self.memory, name, text)
+        return True
+
+    def publishers(self, topic: str, count: int) -> None:
+        """Report how many publishers ``topic``, one of OBSERVED, has; -n: n have another message type."""
+        event, name = OBSERVED[topic]
+        text = f"{count} publishers on {topic}" if count > 1 else ""
+        if count < 0:
+            text = f"{-count} of the publishers on {topic} have another message type than {TYPES[topic]}"
+        if self.observe(name, text):
+            self._note(event, number=count if text else 0)
 
     def silence(self, elapsed: float, stalled: bool = False) -> float:
         """Report that no reading was answered for too long; returns the voltage [V].
@@ -211,20 +250,28 @@ class Supervisor:
         ``elapsed`` [s]: since the last reading or the last call; ``stalled``: readings have come, but this
         process stood still.
         """
-        self.memory.pace = rate.interrupted(self.memory.pace)
-        return watch.silence(self._params, self.memory, elapsed, stalled)
+        voltage = self._silence(elapsed, stalled)
+        event = Event.STALL if stalled else Event.SILENCE
+        self._note(event, elapsed=elapsed, voltage=voltage if self.begun else math.nan)
+        return voltage
 
-    def skip(self, elapsed: float) -> float:
-        """A reading has come while this process stood still, and is stale; returns the voltage [V]."""
+    def skip(self, reading: float, number: float, elapsed: float) -> float:
+        """A ``reading`` has come while this process stood still, and is stale; returns the voltage [V]."""
         self.memory.skipped += 1
-        return self.silence(elapsed, stalled=True)
+        voltage = self._silence(elapsed, True)
+        self._note(Event.STALL, reading, number, elapsed, voltage)
+        return voltage
+
+    def _silence(self, elapsed: float, stalled: bool) -> float:
+        self.memory.pace = rate.interrupted(self.memory.pace)
+        return watch.silence(self.params, self.memory, elapsed, stalled)
 
     def sample(
         self,
         reading: float,
         sequence: int | None = None,
         elapsed: float = 0.0,
-        give: Callable[[float], None] = unused,
+        give: Callable[..., None] = unused,
     ) -> float:
         """Answer one LVDT reading [V]; returns the voltage [V] to apply until the next one.
 
@@ -233,7 +280,7 @@ class Supervisor:
         once, as soon as it is certain: before what only the next sample needs. It must not raise.
         """
         assert self._form, "apply comes first"
-        m, p = self.memory, self._params
+        m, p = self.memory, self.params
         self._give = give
         lost, last, m.sequence = 0, m.sequence, sequence
         if sequence is not None and last is not None and sequence > last + 1:
@@ -252,6 +299,7 @@ class Supervisor:
             self._tell_bursts(pace)
         voltage = self._sample(p, m, reading, lost, elapsed, pace.level == 2)
         self._hand_out(voltage)
+        self._note(Event.READING, reading, sequence, elapsed, voltage)
         return voltage
 
     def _tell_bursts(self, pace: rate.State) -> None:
@@ -261,7 +309,7 @@ class Supervisor:
         if not rate.bursts(pace, oscillates or "lvdt_bursts" in m.said.texts):
             clear(self.memory, "lvdt_bursts")
         elif pace.share < 1.0:
-            report(self.memory, "lvdt_bursts", rate.bursts_text(self._params.lvdt.pace, pace))
+            report(self.memory, "lvdt_bursts", rate.bursts_text(self.params.lvdt.pace, pace))
 
     def _hand_out(self, voltage: float) -> None:
         give, self._give = self._give, unused
@@ -270,7 +318,7 @@ class Supervisor:
     def _observe(self, m: Memory, terms: Any, voltage: float) -> None:
         """Watch a step of the law for what is only reported."""
         self._terms = terms
-        p = self._params
+        p = self.params
         law_watch.step(m, voltage, p.law.u_max, p.lvdt.period, self._saturation_limit)
         if self._watched is not None:
             at, text = self._watched
@@ -281,45 +329,9 @@ class Supervisor:
     # What it says
 
     @property
-    def expected_pace(self) -> rate.Params:
-        """The period that the readings should have."""
-        pace: rate.Params = self._params.lvdt.pace
-        return pace
-
-    @property
-    def answered(self) -> bool:
-        """Whether the readings are those of a valve that gets these voltages."""
-        return self._answered
-
-    @answered.setter
-    def answered(self, answered: bool) -> None:
-        self._answered = answered
-        if self._form:
-            self._params = self._params._replace(answered=answered)
-
-    @property
     def voltage(self) -> float:
         """Voltage [V] of the amplifier in force."""
-        return float(self._steps.sent(self._params, self.memory)) if self._form else 0.0
-
-    @property
-    def samples(self) -> int:
-        """Readings that have come."""
-        return self.memory.samples
-
-    @property
-    def changed(self) -> bool:
-        """Whether the reported conditions have changed; cleared by the reader."""
-        return self.memory.changed
-
-    @changed.setter
-    def changed(self, changed: bool) -> None:
-        self.memory.changed = changed
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Events since the process began, by name."""
-        return self.memory.counts
+        return float(self._steps.sent(self.params, self.memory)) if self._form else 0.0
 
     @property
     def conditions(self) -> dict[str, str]:
@@ -339,26 +351,6 @@ class Supervisor:
         return "; ".join(self.conditions.values()) or "controlling"
 
     @property
-    def command_in_force(self) -> float | None:
-        """Command [V] in force, None before the first."""
-        return self.memory.command.value
-
-    @property
-    def has_trajectory(self) -> bool:
-        """Whether the command is a trajectory's."""
-        return self.memory.trajectory is not None
-
-    @property
-    def command_left(self) -> bool:
-        """Whether the upper level has left, and no command has come since."""
-        return self.memory.command.gone_since is not None
-
-    @property
-    def measurement(self) -> float:
-        """The last believable reading [V], NaN before the first."""
-        return self.memory.measurement
-
-    @property
     def bridged(self) -> int:
         """Number of consecutive readings that could not be believed and are being bridged."""
         return 0 if self.memory.trust.blocked else self.memory.trust.bridged
@@ -376,7 +368,7 @@ class Supervisor:
         estimates = getattr(state, "theta", None)
         if estimates is None:
             return None
-        law: Any = self._params.law
+        law: Any = self.params.law
         kind: Any = type(getattr(law, "theta_initial", None))
         if not isinstance(estimates, kind):  # while the voltage is off, those of another law
             return None
