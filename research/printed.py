@@ -75,7 +75,7 @@ def _agreement(
     first = printed.numerator[0]
 
     def together(c: TransferFunction, valve: TransferFunction) -> Corners:
-        return bode.corners(lambda f: bode.response(valve, f) * bode.response(c, f))
+        return bode.corners(bode.GRID, bode.response(valve, bode.GRID) * bode.response(c, bode.GRID))
 
     return Agreement(
         name=name,

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-import scipy.linalg
 import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +13,7 @@ from hypothesis import strategies as st
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import valve
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER
+from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.design.identification import bode
 from valve_control.parameter import defaults, updated
 
@@ -77,6 +76,15 @@ def test_fractional_delay_is_that_of_the_continuous_state(part):
         part_gather = sum((np.linalg.matrix_power(a, j) @ b for j in range(run)), np.zeros((4, 1)))
         value = (c @ (np.linalg.matrix_power(a, run) @ state + part_gather))[0, 0] * z ** (-late)
         assert abs(got[i] / value - 1.0) < 1e-6
+
+
+@pytest.mark.parametrize("power", [1, 2, 3])
+def test_equal_poles_have_partial_fractions_too(power):
+    model = TransferFunction((60.0**power,), tuple(map(float, np.poly([-60.0] * power))))
+    f = np.geomspace(0.1, 450.0, 25)
+    numerator, denominator, _ = scipy.signal.cont2discrete(model, 0.001)
+    exact = scipy.signal.freqz(np.ravel(numerator), denominator, f, fs=1000.0)[1]
+    assert bode.held_response(model, f, 0.001) == pytest.approx(exact, abs=1e-5)
 
 
 def test_corners_of_the_paper():

@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.design.identification import bode, structure
@@ -59,16 +57,3 @@ def test_the_models_of_the_paper_keep_their_structure(model, delay, form):
 def test_noise_that_explains_the_second_order_ends_the_search():
     measured = made(SECOND_ORDER, deviation=1e-3)
     assert structure.choose(measured).names == ("b0", "a1", "a0")
-
-
-@settings(max_examples=30, deadline=None)
-@given(
-    st.floats(3.0, 80.0), st.floats(0.2, 2.0), st.floats(0.0005, 0.01), st.floats(0.0, 0.012),
-    st.sampled_from([0.0005, 0.001, 0.0025]),
-)  # fmt: skip
-def test_partial_fractions_agree_with_the_state_space(hertz, damping, lag, delay, period):
-    f = np.geomspace(0.1, 0.45 / period, 25)
-    for model in (with_coil(hertz, damping, lag), SECOND_ORDER, FOURTH_ORDER):
-        exact = bode.held_response(model, f, period, delay)
-        quick = bode.quick_held_response(model, f, period, delay)
-        assert np.max(np.abs(quick - exact)) < 1e-5 * np.max(np.abs(exact))

@@ -58,8 +58,8 @@ class Known:
         )
         order, zeros = len(plant.model.denominator) - 1, len(plant.model.numerator) - 1
         late = plant.delay > LATE * period
-        self.second = rational.fit(exact, 2, relative=True)
-        best = rational.fit(exact, order, zeros, late, True) if order > 2 else self.second
+        self.second = rational.fit(exact, 2)
+        best = rational.fit(exact, order, zeros, late) if order > 2 else self.second
         self.theta = theta.suggest(exact, self.second, best, u_max)
 
         lvdt = Lvdt(rest.noise, rest.resolution)
@@ -108,7 +108,7 @@ def _simpler(
     reason = refusal
     for lower in range(max(2, len(whole.model.denominator) - 2), 1, -1):
         try:
-            simpler = rational.fit(exact, lower, None, True, True, MOST_DELAY * whole.period)
+            simpler = rational.fit(exact, lower, None, True, MOST_DELAY * whole.period)
         except ParameterError as error:
             reason = str(error)
             continue

@@ -4,7 +4,6 @@
 
 import cmath
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +13,8 @@ from valve_control.arrays import Complexes, Floats
 from valve_control.control.laws import biquads
 from valve_control.control.plant.models import TransferFunction
 
-LOWEST, HIGHEST = 1e-5, 1e4  # Hz between which corners are looked for
-GRID = 4000  # frequencies of that search
-APART = 1e-6  # of a pole, by which the poles of partial fractions are apart at least
+GRID: Floats = np.geomspace(1e-5, 1e4, 4000)  # Hz, where corners are looked for
+APART = 1e-8  # of a pole, by which the poles of partial fractions are apart at least
 
 
 class Root(NamedTuple):
@@ -47,78 +45,25 @@ def held_response(model: TransferFunction, frequency: Floats, period: float, del
 
     Input k is held from t_k to t_k + ``period`` [s]; output k is read at t_k, just before input k counts.
     So y_k depends on inputs up to k-1, as in the loop, and the hold's half sample of delay is in it. The dead
-    time ``delay`` [s] need not be a whole number of periods. The model has more poles than zeros.
+    time ``delay`` [s] need not be a whole number of periods. The model has more poles than zeros, and no pole
+    at 0; partial fractions, so equal poles are taken apart by APART.
     """
-    scaled, scale = _time_scaled(model)
-    a, b, c = _companion(scaled)
-    n = len(b)
-    whole = math.floor(delay / period + 1e-12)
-    part = max(0.0, delay / period - whole)
-    hold, drive = _held(a, b, period * scale)
-    z = np.exp(2j * np.pi * frequency * period)
-    pencil = z[:, None, None] * np.eye(n) - hold
-    state = np.linalg.solve(pencil, np.broadcast_to(drive, (len(z), n, 1)))[:, :, 0]
-    if part == 0.0:
-        value: Complexes = (state @ c) * z ** (-whole)
-        return value
-    # Between two samples the state runs on for the rest of the period under the input of its beginning.
-    rest, driven = _held(a, b, period * scale * (1.0 - part))
-    later: Complexes = (state @ (c @ rest) + c @ driven[:, 0]) * z ** (-(whole + 1))
-    return later
-
-
-def quick_held_response(
-    model: TransferFunction, frequency: Floats, period: float, delay: float = 0.0
-) -> Complexes:
-    """``held_response`` of a stable model by its partial fractions, in a tenth of the time.
-
-    Poles are taken up to 3e-6 of themselves away, so that no two are the same: five digits hold.
-    """
-    poles = np.roots(model.denominator).astype(np.complex128)
+    denominator = np.trim_zeros(np.asarray(model.denominator, dtype=np.float64), "f")
+    poles = np.roots(denominator).astype(np.complex128)
     poles *= 1.0 + APART * np.arange(len(poles))
     between = poles[:, None] - poles + np.eye(len(poles))
-    residues = np.polyval(model.numerator, poles) / (model.denominator[0] * np.prod(between, axis=1))
-    turn = np.exp(poles * period)
+    residues = np.polyval(model.numerator, poles) / (denominator[0] * np.prod(between, axis=1))
     z = np.exp(2j * np.pi * frequency * period)
-    state = (turn - 1.0) / poles / (z[:, None] - turn)
+    state = np.expm1(poles * period) / poles / (z[:, None] - np.exp(poles * period))
     whole = math.floor(delay / period + 1e-12)
     part = max(0.0, delay / period - whole)
     if part == 0.0:
         value: Complexes = (state @ residues) * z ** (-whole)
         return value
-    rest = np.exp(poles * period * (1.0 - part))
-    later: Complexes = (state * rest + (rest - 1.0) / poles) @ residues * z ** (-(whole + 1))
+    # Between two samples the state runs on for the rest of the period under the input of its beginning.
+    rest = poles * period * (1.0 - part)
+    later: Complexes = (state * np.exp(rest) + np.expm1(rest) / poles) @ residues * z ** (-(whole + 1))
     return later
-
-
-def _held(a: Floats, b: Floats, time: float) -> tuple[Floats, Floats]:
-    """Transition and input matrix of x' = a·x + b·u over ``time`` with u held."""
-    n = len(b)
-    transition, drive, *_ = scipy.signal.cont2discrete((a, b[:, None], np.eye(n), np.zeros((n, 1))), time)
-    return transition, drive
-
-
-def _time_scaled(model: TransferFunction) -> tuple[TransferFunction, float]:
-    """``model`` over s/scale, its highest denominator coefficient 1; scale [rad/s] is its poles' middle."""
-    denominator = np.trim_zeros(np.asarray(model.denominator, dtype=np.float64), "f")
-    numerator = np.trim_zeros(np.asarray(model.numerator, dtype=np.float64), "f")
-    n = len(denominator) - 1
-    scale = float(np.exp(np.mean(np.log(np.maximum(np.abs(np.roots(denominator)), 1e-3)))))
-    d = denominator / denominator[0] * scale ** -np.arange(n + 1.0)
-    m = numerator / denominator[0] * scale ** -(np.arange(len(numerator)) + n + 1.0 - len(numerator))
-    return TransferFunction(tuple(map(float, m)), tuple(map(float, d))), scale
-
-
-def _companion(model: TransferFunction) -> tuple[Floats, Floats, Floats]:
-    """Matrices A, B, C of the controllable form of a model."""
-    n = len(model.denominator) - 1
-    a = np.diag(np.ones(n - 1), 1)
-    a[-1] = -np.asarray(model.denominator[1:])[::-1]
-    b = np.zeros(n)
-    b[-1] = 1.0
-    c = np.zeros(n)
-    c[: len(model.numerator)] = model.numerator[::-1]
-    return a, b, c
 
 
 def _sections(p: biquads.Params) -> list[list[float]]:
@@ -127,10 +72,7 @@ def _sections(p: biquads.Params) -> list[list[float]]:
 
 def sections_response(p: biquads.Params, frequency: Floats, period: float) -> Complexes:
     """Response of a compensator's sections at ``frequency`` [Hz], one sample every ``period`` [s]."""
-    delay = np.exp(-2j * np.pi * frequency * period)
-    value = np.ones(len(frequency), dtype=np.complex128)
-    for b0, b1, b2, _, a1, a2 in _sections(p):
-        value *= (b0 + delay * (b1 + delay * b2)) / (1.0 + delay * (a1 + delay * a2))
+    value: Complexes = scipy.signal.sosfreqz(_sections(p), frequency, fs=1.0 / period)[1]
     return value
 
 
@@ -139,25 +81,15 @@ def step_peak(p: biquads.Params, samples: int) -> float:
     return float(np.max(np.abs(scipy.signal.sosfilt(_sections(p), np.ones(samples)))))
 
 
-def corners(evaluate: Callable[[Floats], Complexes], highest: float = HIGHEST) -> Corners:
-    """First frequencies [Hz] of -3 dB and -90°, relative to the response's value at ``LOWEST``."""
-    frequency = np.geomspace(LOWEST, highest, GRID)
+def corners(frequency: Floats, value: Complexes) -> Corners:
+    """First of the rising ``frequency`` [Hz] where ``value`` is -3 dB and -90° from its first, if it is."""
+    relative = value / value[0]
     reached: list[float | None] = []
-    for read, level in ((decibels, -3.0), (degrees, -90.0)):
-        value = evaluate(frequency)
-        below = np.flatnonzero(read(value / value[0]) < level)
-        if len(below) == 0 or below[0] == 0:
-            reached.append(None)
-            continue
-        last = int(below[0])
-        # The start stays in, since both are counted from there; the bracket is made fine.
-        fine = np.concatenate([frequency[:last], np.linspace(frequency[last - 1], frequency[last], 200)[1:]])
-        value = evaluate(fine)
-        relative = read(value / value[0])[last - 1 :]
-        i = int(np.argmax(relative < level))
-        f0, f1 = fine[last - 2 + i], fine[last - 1 + i]
-        part = (relative[i - 1] - level) / (relative[i - 1] - relative[i])
-        reached.append(float(f0 + part * (f1 - f0)))
+    for size, level in ((decibels(relative), -3.0), (degrees(relative), -90.0)):
+        first = int(np.argmax(size < level))
+        ends = slice(first - 1, first + 1)
+        between = np.interp(-level, -size[ends], np.log(frequency[ends])) if first else None
+        reached.append(None if between is None else float(np.exp(between)))
     return Corners(*reached)
 
 
@@ -175,7 +107,7 @@ def degrees(value: Complexes) -> Floats:
 
 def model_corners(model: TransferFunction, delay: float = 0.0) -> Corners:
     """-3 dB and -90° of a continuous model."""
-    return corners(lambda frequency: response(model, frequency, delay))
+    return corners(GRID, response(model, GRID, delay))
 
 
 def roots(coefficients: tuple[float, ...]) -> list[Root]:

@@ -65,7 +65,7 @@ def make(
             f"a bandwidth of {bandwidth:g} Hz is too near to Nyquist's frequency, {nyquist:g} Hz; it must be "
             f"below {FAITHFUL / period:g} Hz"
         )
-    grid = np.geomspace(0.01, 0.999 * nyquist, 4000)
+    grid = bode.GRID[np.less(bode.GRID, 0.999 * nyquist)]
     gain = np.abs(bode.sections_response(sections, grid, period))
     loudest = int(np.argmax(gain))
     designed = Compensator(
@@ -77,10 +77,11 @@ def make(
         cancel_zeros=cancel_zeros,
         order=order,
         valve=bode.model_corners(model),
-        compensated=bode.corners(lambda f: bode.response(model, f) * bode.response(transfer_function, f)),
+        compensated=bode.corners(
+            bode.GRID, bode.response(model, bode.GRID) * bode.response(transfer_function, bode.GRID)
+        ),
         sampled=bode.corners(
-            lambda f: bode.held_response(model, f, period) * bode.sections_response(sections, f, period),
-            0.999 * nyquist,
+            grid, bode.held_response(model, grid, period) * bode.sections_response(sections, grid, period)
         ),
         largest_gain=float(gain[loudest]),
         largest_at=float(grid[loudest]),

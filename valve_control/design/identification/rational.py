@@ -12,24 +12,15 @@ Sanathanan and Koerner [2], then maximum likelihood by scipy.optimize.least_squa
 """
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.optimize
 import scipy.stats
 
 from valve_control.arrays import Complexes, Floats
 from valve_control.control.plant.models import TransferFunction
-from valve_control.design.identification.bode import (
-    LOWEST,
-    Corners,
-    corners,
-    held_response,
-    model_corners,
-    quick_held_response,
-)
+from valve_control.design.identification.bode import GRID, Corners, corners, held_response, model_corners
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
 
@@ -42,17 +33,13 @@ EXPLAINED = 0.1  # relative error that noise does not explain up to which bounds
 EXCITED = 0.02  # ... or usual relative uncertainty of a test that tells the response well
 MISSED = 0.5  # of the response, rms, likewise
 UNSURE = 0.1  # relative uncertainty from which on a frequency tells nothing of a corner
-UNSTABLE = 3.0  # times the error of unstable poles that stable ones may have
 ROUNDS = 30  # of the start's iteration
-QUICK = (1e-6, 60)  # tolerance and evaluations of a search that tells whether a form is worth more ...
-SHORT_ROUNDS = 2  # ... and its rounds of model error; those of a fit are ...
 ROUNDS_OF_ERROR = 4
 LEAST_DAMPING = 1e-3
 DELAYS = 40  # tried to begin with, each a tenth of the fastest cycle more
 DELAY_STEP = 0.1
 WIDEST_DELAY = 0.25  # of the slowest cycle
 BAND = 20.0  # times the highest measured frequency below which a pole is believed
-WIDEST = 14.0  # logarithm of a factor's coefficient over the scale
 DEPTH = 0.2  # times the lowest one above which it is
 
 
@@ -70,59 +57,33 @@ class Fit(NamedTuple):
     model_error: float  # relative error that the noise does not explain
     corners: Corners
     bounded: bool = True  # whether the test tells the bounds
+    criterion: float = math.inf  # Schwarz's: -2·(log likelihood) + (unknowns)·log(numbers measured)
 
 
 class _Form(NamedTuple):
-    """A form of a model, and the response that it is fitted to; maps unbounded parameters to a stable one."""
+    """A form of a model, and the response that it is fitted to."""
 
-    order: int
     zeros: int
     delayed: bool
     measured: Response
-    scale: float  # rad/s
-    gain: float  # V/V
-    quick: bool  # whether the search only tells what the form is worth
-
-    @property
-    def unknowns(self) -> int:
-        """Number of unknowns."""
-        return self.order + self.zeros + 1 + self.delayed
+    units: Floats  # of the unknowns: numerator, denominator without its leading 1, dead time
 
     def model(self, x: Floats) -> tuple[TransferFunction, float]:
-        """Model and delay [s]; the denominator is made of factors with positive coefficients."""
-        w = self.scale
-        denominator: npt.NDArray[Any] = np.ones(1)
-        for i in range(self.order // 2):
-            denominator = np.polymul(
-                denominator, [1.0, w * math.exp(x[2 * i]), w**2 * math.exp(x[2 * i + 1])]
-            )
-        if self.order % 2:
-            denominator = np.polymul(denominator, [1.0, w * math.exp(x[self.order - 1])])
-        ascending = x[self.order : self.order + self.zeros + 1] * self.gain
-        numerator = denominator[-1] * ascending * w ** -np.arange(self.zeros + 1.0)
-        delay = float(x[-1]) * self.measured.period if self.delayed else 0.0
-        return TransferFunction(tuple(map(float, numerator[::-1])), tuple(map(float, denominator))), delay
-
-    def coefficients(self, x: Floats) -> Floats:
-        """Numerator, denominator without its leading 1, and the delay if there is one."""
-        model, delay = self.model(x)
-        return np.array([*model.numerator, *model.denominator[1:], *([delay] if self.delayed else [])])
+        """Model and delay [s]."""
+        values = (x * self.units).tolist()
+        delay = values.pop() if self.delayed else 0.0
+        return TransferFunction(tuple(values[: self.zeros + 1]), (1.0, *values[self.zeros + 1 :])), delay
 
     def errors(self, x: Floats) -> Complexes:
         """What the model has beyond the measured response [V/V]."""
         model, delay = self.model(x)
-        held = quick_held_response if self.quick else held_response
-        return held(model, self.measured.frequency, self.measured.period, delay) - self.measured.value
-
-    def residuals(self, x: Floats, weight: Floats) -> Floats:
-        """Real and imaginary parts of the weighted errors."""
-        error = self.errors(x) * weight
-        return np.concatenate([error.real, error.imag])
+        measured = self.measured
+        return held_response(model, measured.frequency, measured.period, delay) - measured.value
 
     def model_error(self, x: Floats) -> float:
         """Relative error of the model that, added to the noise, makes the squared errors what they are."""
         distance, size = np.abs(self.errors(x)), np.abs(self.measured.value)
-        free = max(1, 2 * len(size) - self.unknowns)
+        free = max(1, 2 * len(size) - len(x))
 
         def excess(part: float) -> float:
             variance = self.measured.deviation**2 + (part * size) ** 2
@@ -131,123 +92,91 @@ class _Form(NamedTuple):
         # Twice the spread of the sum by chance alone.
         if excess(0.0) <= 2.0 * math.sqrt(2.0 * free):
             return 0.0
-        high = 1e-9
-        while excess(high) > 0.0 and high < 1e3:
-            high *= 10.0
-        return float(scipy.optimize.brentq(excess, 0.0, high, xtol=1e-12))
+        high = math.sqrt(float(np.sum((distance / size) ** 2)) / free)  # of a measurement without noise
+        return float(scipy.optimize.brentq(excess, 0.0, high * (1.0 + 1e-9), xtol=1e-12))
 
-    def minimised(self, start: Floats, weight: Floats, latest: float) -> Floats:
-        """The unknowns from ``start`` on that make the weighted errors least; dead time up to ``latest``."""
-        tolerance, most = QUICK if self.quick else (1e-12, 100)
+    def minimised(self, start: Floats, weight: Floats, latest: float) -> tuple[Floats, Floats]:
+        """The unknowns from ``start`` on that make the weighted errors least, and the errors' Jacobian."""
         low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
-        low[: self.order], high[: self.order] = -WIDEST, WIDEST
         if self.delayed:
-            widest = max(1.0, WIDEST_DELAY / (self.measured.frequency[0] * self.measured.period))
-            low[-1], high[-1] = 0.0, min(widest, latest / self.measured.period)
+            widest = max(self.measured.period, WIDEST_DELAY / self.measured.frequency[0])
+            low[-1], high[-1] = 0.0, min(widest, latest) / self.measured.period
         try:
-            found = scipy.optimize.least_squares(
-                self.residuals,
+            search = scipy.optimize.least_squares(
+                lambda x: (self.errors(x) * weight).view(np.float64),
                 np.clip(start, low + 1e-9, high - 1e-9),
-                args=(weight,),
                 bounds=(low, high),
                 x_scale="jac",
-                xtol=tolerance,
-                ftol=tolerance,
-                gtol=tolerance,
-                max_nfev=most,
+                xtol=1e-12,
+                ftol=1e-12,
+                gtol=1e-12,
+                max_nfev=100,
             )
         except (ValueError, np.linalg.LinAlgError) as error:
-            raise ParameterError(f"no model of order {self.order} fits the response: {error}") from error
-        best: Floats = found.x
-        return best
-
-    def searched(self, x: Floats, rounds: int, latest: float = math.inf) -> tuple[Floats, Floats]:
-        """The unknowns from ``x`` on, and their weights: of the size, then ``rounds`` times of the variance.
-
-        Raises ParameterError for a model that stands on the edge of stability or far outside the band.
-        """
-        size = np.abs(self.measured.value)
-        weight = 1.0 / size
-        x = self.minimised(x, weight, latest)
-        for _ in range(rounds):
-            weight = 1.0 / np.hypot(self.measured.deviation, self.model_error(x) * size)
-            x = self.minimised(x, weight, latest)
-        poles = np.roots(self.model(x)[0].denominator)
-        hertz = np.abs(poles) / (2.0 * np.pi)
-        damping = -poles.real / np.abs(poles)
-        if np.min(damping) < LEAST_DAMPING:
-            raise ParameterError(
-                f"the fit of order {self.order} is unstable or on the edge of it (poles at "
-                f"{hertz[np.argmin(damping)]:.4g} Hz without damping); choose another order or a better test"
-            )
-        low, high = float(self.measured.frequency[0]), float(self.measured.frequency[-1])
-        for at in (float(np.min(hertz)), float(np.max(hertz))):
-            if at < DEPTH * low or at > BAND * high:
-                raise ParameterError(
-                    f"the fit of order {self.order} puts a pole at {at:.4g} Hz, far outside the measured "
-                    f"{low:.4g} to {high:.4g} Hz; choose a lower order"
-                )
-        return x, weight
+            raise ParameterError(f"no model of this order fits the response: {error}") from error
+        return search.x, search.jac
 
 
 def fit(
-    measured: Response,
-    order: int,
-    zeros: int | None = None,
-    delayed: bool = False,
-    relative: bool = False,
-    latest: float = math.inf,
+    measured: Response, order: int, zeros: int | None = None, delayed: bool = False, latest: float = math.inf
 ) -> Fit:
     """Stable model of ``order`` with ``zeros`` (two fewer than poles) that comes nearest to ``measured``.
 
     One unit of error is the standard deviation of the measurement, with a relative error of the model added
-    where noise alone does not explain the distance; ``relative``: the size of the response. The model is
-    compared as held and sampled, so that hold and sampling bias nothing. ``delayed``: a dead time is
-    estimated too, of ``latest`` [s] at most. Bounds come from the Jacobian. Raises ParameterError if there
-    are too few frequencies, or no model fits.
+    where noise alone does not explain the distance. The model is compared as held and sampled, so that hold
+    and sampling bias nothing. ``delayed``: a dead time is estimated too, of ``latest`` [s] at most. Bounds
+    come from the Jacobian. Raises ParameterError if there are too few frequencies, or no model fits.
     """
     zeros = max(0, order - 2) if zeros is None else zeros
-    form, x, free_error = _start(measured, order, zeros, delayed, False)
-    x, weight = form.searched(x, 0 if relative else ROUNDS_OF_ERROR, latest)
-    size, model_error = np.abs(measured.value), form.model_error(x)
-    error = float(np.sqrt(np.mean((np.abs(form.errors(x)) / size) ** 2)))
-    if error > UNSTABLE * free_error:
-        raise ParameterError(
-            f"the fit of order {order} is unstable: poles to the right miss the response by "
-            f"{100.0 * free_error:.2g} %, stable ones by {100.0 * error:.2g} %"
-        )
-    covariance = _covariance(form, x, weight, model_error)
-    quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, 2 * len(size) - form.unknowns)))
+    form, x = _start(measured, order, zeros, delayed)
+    size = np.abs(measured.value)
+    weight = 1.0 / size
+    for _ in range(1 + ROUNDS_OF_ERROR):
+        x, jacobian = form.minimised(x, weight, latest)
+        model_error = form.model_error(x)
+        weight = 1.0 / np.hypot(measured.deviation, model_error * size)
     model, delay = form.model(x)
+    _check_poles(model, order, measured.frequency)
+    inverse = np.linalg.pinv(jacobian)
+    quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, 2 * len(size) - len(x))))
+    # The relative error of the static gain b0/a0 is that of b0 less that of a0.
+    b0, a0 = inverse[zeros] / x[zeros], inverse[zeros + order] / x[zeros + order]
     names = [f"b{i}" for i in range(zeros, -1, -1)] + [f"a{i}" for i in range(order - 1, -1, -1)]
-    gain_deviation = _deviations(lambda v: np.array([form.model(v)[0].static_gain]), x, covariance)
+    distance = np.abs(form.errors(x))
+    misfit = float(np.sum((distance * weight) ** 2 - 4.0 * np.log(weight)))
     return Fit(
         order=order,
         model=model,
         delay=delay,
         names=(*names, *(["delay"] if delayed else [])),
-        values=form.coefficients(x),
-        bounds=quantile * _deviations(form.coefficients, x, covariance),
-        gain_bound=float(quantile * gain_deviation[0]),
-        error=error,
+        values=x * form.units,
+        bounds=quantile * np.linalg.norm(inverse, axis=1) * form.units,
+        gain_bound=quantile * abs(model.static_gain) * float(np.linalg.norm(b0 - a0)),
+        error=float(np.sqrt(np.mean((distance / size) ** 2))),
         model_error=model_error,
         corners=model_corners(model, delay),
         bounded=model_error <= EXPLAINED or float(np.median(measured.deviation / size)) <= EXCITED,
+        criterion=misfit + len(x) * math.log(2 * len(size)),
     )
 
 
-def criterion(measured: Response, order: int, zeros: int, delayed: bool) -> tuple[float, float]:
-    """Schwarz's criterion of the form that ``fit`` gives, from a shorter search, and its model error.
-
-    It is -2·(log likelihood) + (unknowns)·log(numbers measured), less is better. The variance at a frequency
-    is that of the measurement and of the relative error of the model. Raises ParameterError.
-    """
-    form, x, _ = _start(measured, order, zeros, delayed, True)
-    x, _ = form.searched(x, SHORT_ROUNDS)
-    size, model_error = np.abs(measured.value), form.model_error(x)
-    variance = measured.deviation**2 + (model_error * size) ** 2
-    misfit = float(np.sum(2.0 * np.log(variance) + np.abs(form.errors(x)) ** 2 / variance))
-    return misfit + form.unknowns * math.log(2 * len(size)), model_error
+def _check_poles(model: TransferFunction, order: int, frequency: Floats) -> None:
+    """Raise ParameterError for a ``model`` on the edge of stability or far outside ``frequency`` [Hz]."""
+    poles = np.roots(model.denominator)
+    hertz = np.abs(poles) / (2.0 * np.pi)
+    damping = -poles.real / np.abs(poles)
+    if np.min(damping) < LEAST_DAMPING:
+        raise ParameterError(
+            f"the fit of order {order} is unstable or on the edge of it (poles at "
+            f"{hertz[np.argmin(damping)]:.4g} Hz without damping); choose another order or a better test"
+        )
+    low, high = float(frequency[0]), float(frequency[-1])
+    for at in (float(np.min(hertz)), float(np.max(hertz))):
+        if at < DEPTH * low or at > BAND * high:
+            raise ParameterError(
+                f"the fit of order {order} puts a pole at {at:.4g} Hz, far outside the measured "
+                f"{low:.4g} to {high:.4g} Hz; choose a lower order"
+            )
 
 
 def _vaguest(made: Fit) -> tuple[str, float, float]:
@@ -295,19 +224,10 @@ def measured_corners(measured: Response, static_gain: float) -> Corners:
     sure = measured.deviation < UNSURE * np.abs(measured.value)
     if np.count_nonzero(sure) < 2:
         return Corners(None, None)
-    frequencies = measured.frequency[sure]
-    value = measured.value[sure] / hold(frequencies, measured.period)
-    turn = np.unwrap(np.angle(value * math.copysign(1.0, value[0].real)))
+    frequency = measured.frequency[sure]
+    value = measured.value[sure] / hold(frequency, measured.period)
     # Far below the lowest frequency the phase is 0.
-    known = np.log(np.append(min(LOWEST, 0.1 * frequencies[0]), frequencies))
-    turn = np.append(0.0, turn)
-    size = np.log(np.abs(np.append(static_gain, value)))
-
-    def evaluate(frequency: Floats) -> Complexes:
-        at = np.log(frequency)
-        return np.asarray(np.exp(np.interp(at, known, size) + 1j * np.interp(at, known, turn)))
-
-    return corners(evaluate, float(frequencies[-1]))
+    return corners(np.append(GRID[0], frequency), np.append(static_gain, value))
 
 
 def hold(frequency: Floats, period: float) -> Complexes:
@@ -317,13 +237,10 @@ def hold(frequency: Floats, period: float) -> Complexes:
     return value
 
 
-def _start(
-    measured: Response, order: int, zeros: int, delayed: bool, quick: bool
-) -> tuple[_Form, Floats, float]:
+def _start(measured: Response, order: int, zeros: int, delayed: bool) -> tuple[_Form, Floats]:
     """Linear least squares for each of several delays; the nearest is where the search begins.
 
-    Last comes the relative error of what was found, if it has poles to the right, else infinity. Raises
-    ParameterError if there are too few frequencies.
+    What lies to the right is mirrored to the left. Raises ParameterError if there are too few frequencies.
     """
     size, count = np.abs(measured.value), order + zeros + 1 + delayed
     if len(size) < count // 2 + 1:
@@ -336,84 +253,35 @@ def _start(
     scale = float(np.sqrt(omega[0] * omega[-1]))
     delays = DELAY_STEP / measured.frequency[-1] * np.arange(DELAYS if delayed else 1)
     s = np.asarray(1j * omega / scale, dtype=np.complex128)
-    tried = [
-        (*_linear(value * np.exp(1j * omega * delay), s, order, zeros, size), float(delay))
-        for delay in delays
-    ]
-    error, numerator, below, delay = min(tried, key=lambda attempt: attempt[0])
-    poles = np.asarray(np.roots(below[::-1]), dtype=np.complex128)
-    factors = _stable_factors(poles, order)
-    gain = float(abs(value[0])) or 1.0
-    static = float(np.prod(np.exp(factors[1 : order - order % 2 : 2])))
-    static *= float(np.exp(factors[-1])) if order % 2 else 1.0
-    at = [max(0.05, delay / measured.period)] if delayed else []
-    x = np.concatenate([factors, numerator / (static * gain), at])
-    unstable = math.sqrt(error / len(size)) if np.any(poles.real > 0.0) else math.inf
-    return _Form(order, zeros, delayed, measured, scale, gain, quick), x, unstable
+    tried = [(*_linear(value * np.exp(1j * omega * t), s, order, zeros, size), float(t)) for t in delays]
+    _, numerator, below, delay = min(tried, key=lambda attempt: attempt[0])
+    poles = np.asarray(np.roots(below), dtype=np.complex128)
+    left = np.poly(-np.maximum(np.abs(poles.real), 1e-3 * np.abs(poles)) + 1j * poles.imag).real
+    powers = np.concatenate([np.arange(order - zeros, order + 1.0), np.arange(1.0, order + 1.0)])
+    units, x = scale**powers, np.concatenate([numerator * left[-1] / below[-1], left[1:]])
+    if delayed:
+        units, x = np.append(units, measured.period), np.append(x, max(0.05, delay / measured.period))
+    return _Form(zeros, delayed, measured, units), x
 
 
 def _linear(
     value: Complexes, s: Complexes, order: int, zeros: int, size: Floats
 ) -> tuple[float, Floats, Floats]:
-    """Error, numerator and denominator (lowest power first) that make numerator - value·denominator small.
+    """Error, numerator and denominator that make numerator - value·denominator small.
 
     Each round weighs by the denominator of the one before, so that what is made small becomes the distance.
     """
-    powers = s[:, None] ** np.arange(max(order, zeros) + 1)
-    weight = 1.0 / size
-    best: tuple[float, Floats, Floats] | None = None
+    powers = np.vander(s, order + 1)
+    weight, tried = 1.0 / size, []
     for _ in range(ROUNDS):
-        left = np.hstack([powers[:, : zeros + 1], -value[:, None] * powers[:, :order]]) * weight[:, None]
-        right = value * powers[:, order] * weight
+        left = np.hstack([powers[:, order - zeros :], -value[:, None] * powers[:, 1:]]) * weight[:, None]
+        right = value * powers[:, 0] * weight
         solution, _, _, _ = np.linalg.lstsq(
             np.vstack([left.real, left.imag]), np.concatenate([right.real, right.imag]), rcond=None
         )
-        numerator, below = solution[: zeros + 1], np.append(solution[zeros + 1 :], 1.0)
-        denominator = powers[:, : order + 1] @ below
-        error = float(np.sum((np.abs(powers[:, : zeros + 1] @ numerator / denominator - value) / size) ** 2))
-        if best is None or error < best[0]:
-            best = (error, numerator, below)
+        numerator, below = solution[: zeros + 1], np.append(1.0, solution[zeros + 1 :])
+        denominator = powers @ below
+        distance = np.abs(powers[:, order - zeros :] @ numerator / denominator - value) / size
+        tried.append((float(np.sum(distance**2)), numerator, below))
         weight = 1.0 / (size * np.maximum(np.abs(denominator), 1e-9))
-    assert best is not None
-    return best
-
-
-def _stable_factors(poles: Complexes, order: int) -> Floats:
-    """Logarithms of the factors' coefficients; what lies to the right is mirrored to the left."""
-    left = -np.maximum(np.abs(poles.real), 1e-3 * np.abs(poles)) + 1j * poles.imag
-    pairs = [p for p in left if p.imag > 1e-12 * abs(p)]
-    real = sorted((-p.real for p in left if abs(p.imag) <= 1e-12 * abs(p)), reverse=True)
-    factors = [(2.0 * -p.real, abs(p) ** 2) for p in pairs]
-    while len(real) >= 2:
-        first, second = real.pop(), real.pop()
-        factors.append((first + second, first * second))
-    made = [math.log(c) for pair in sorted(factors, key=lambda pair: pair[1]) for c in pair]
-    return np.array(made + [math.log(p) for p in real[: order % 2]])
-
-
-def _deviations(read: Callable[[Floats], Floats], x: Floats, covariance: Floats) -> Floats:
-    """Standard deviations of what ``read`` makes of the unknowns ``x``."""
-    slope = _jacobian(read, x)
-    variance = np.einsum("ij,jk,ik->i", slope, covariance, slope)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-
-def _jacobian(read: Callable[[Floats], Floats], x: Floats) -> Floats:
-    """Central differences; no parameter is far from 1."""
-    columns = []
-    for i, h in enumerate(1e-5 * np.maximum(0.1, np.abs(x))):
-        step = np.where(np.arange(len(x)) == i, h, 0.0)
-        columns.append((read(x + step) - read(x - step)) / (2.0 * h))
-    return np.column_stack(columns)
-
-
-def _covariance(form: _Form, x: Floats, weight: Floats, model_error: float) -> Floats:
-    """Covariance of the parameters for any weight: (JᵀJ)⁻¹ JᵀΣJ (JᵀJ)⁻¹, Σ of noise and model error."""
-    measured = form.measured
-    if form.delayed:
-        x = np.append(x[:-1], max(x[-1], 1e-4))
-    deviation = np.hypot(measured.deviation, model_error * np.abs(measured.value)) * weight
-    inverse = np.linalg.pinv(_jacobian(lambda v: form.residuals(v, weight), x))
-    spread = inverse * np.concatenate([deviation, deviation])
-    covariance: Floats = spread @ spread.T
-    return covariance
+    return min(tried, key=lambda attempt: attempt[0])

@@ -12,24 +12,13 @@ itself beside it.
 """
 
 from itertools import groupby
-from typing import NamedTuple
 
-from valve_control.design.identification.rational import Fit, check_worth, criterion, fit, is_clear
+from valve_control.design.identification.rational import Fit, check_worth, fit, is_clear
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
 
 FORMS = ((2, 0), (3, 0), (3, 1), (4, 1), (4, 2))  # poles and zeros
 NEAR = 6.0  # of the criterion, within which the simplest candidate counts
-
-
-class Candidate(NamedTuple):
-    """One structure of a model, and what the response says of it."""
-
-    poles: int
-    zeros: int
-    late: bool  # with a dead time
-    criterion: float  # BIC, less is better
-    model_error: float  # relative error that noise does not explain
 
 
 def choose(measured: Response, delayed: bool = False) -> Fit:
@@ -39,27 +28,26 @@ def choose(measured: Response, delayed: bool = False) -> Fit:
     coefficients are not in the data gives way to the next best. Raises ParameterError if none is left.
     """
     forms = [(*form, late) for form in FORMS for late in ((True,) if delayed else (False, True))]
-    tried: list[Candidate] = []
+    tried: list[tuple[tuple[int, int, bool], Fit]] = []
     refusals: list[ParameterError] = []
     for _, level in groupby(sorted(forms, key=sum), key=sum):  # the number of unknowns, less 1
         for poles, zeros, late in level:
             try:
-                tried.append(Candidate(poles, zeros, late, *criterion(measured, poles, zeros, late)))
+                tried.append(((zeros, poles, late), fit(measured, poles, zeros, late)))
             except ParameterError as error:
                 refusals.append(error)
-        if any(one.model_error == 0.0 for one in tried):
+        if any(one.model_error == 0.0 for _, one in tried):
             break
     while tried:
         # Of the nearest: fewest zeros, then fewest poles, then no dead time.
-        least = min(one.criterion for one in tried)
-        near = [one for one in tried if one.criterion <= least + NEAR or one.model_error == 0.0]
-        best = min(near, key=lambda one: (one.zeros, one.poles, one.late))
-        tried.remove(best)
+        least = min(one.criterion for _, one in tried)
+        near = [one for one in tried if one[1].criterion <= least + NEAR or one[1].model_error == 0.0]
+        best = min(near, key=lambda one: one[0])
+        tried = [one for one in tried if one is not best]
         try:
-            fitted = fit(measured, best.poles, best.zeros, best.late)
-            check_worth(fitted)
-            if is_clear(fitted):
-                return fitted
+            check_worth(best[1])
+            if is_clear(best[1]):
+                return best[1]
         except ParameterError as error:
             refusals.append(error)
     raise refusals[0]

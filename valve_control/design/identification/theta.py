@@ -86,7 +86,7 @@ def _up_to(measured: Response, best: Fit, highest: float) -> list[Floats]:
         frequency, value, 1e-6 * np.abs(value), np.ones(30), measured.period, measured.method, ()
     )
     try:
-        b0, a1, a0 = fit(exact, 2, relative=True).values
+        b0, a1, a0 = fit(exact, 2).values
     except ParameterError:
         return []
     return [np.array([a1, a0, b0])]
