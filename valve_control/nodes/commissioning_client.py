@@ -259,6 +259,8 @@ class Controller:
                 early = 0.0 if self._waits or not readings else ahead()
                 rate = value.velocity - value.acceleration * early
                 at = began + round((due * self._period - early) * 1e9)
+                if self._waits and readings:  # whose time goes on with its readings
+                    at = readings[-1][1] + round(self._period * 1e9)
                 here = limited - (value.velocity - 0.5 * value.acceleration * early) * early
                 self._points.publish(encoded_point(here, rate, value.acceleration, at))
             else:

@@ -54,10 +54,10 @@ class Record(NamedTuple):
 
     def part(self, first: int, end: int) -> "Record":
         """Samples ``first`` to before ``end``, as one part."""
-        reading, voltage, command, late = (
-            signal[first:end] for signal in (self.reading, self.voltage, self.command, self.late)
+        reading, voltage, command = (
+            signal[first:end] for signal in (self.reading, self.voltage, self.command)
         )
-        return Record(self.period, reading, voltage, command, latency=self.latency, late=late)
+        return Record(self.period, reading, voltage, command, (0,), self.latency, self.late[first:end])
 
     def parts(self) -> "list[Record]":
         """Each part."""
