@@ -361,13 +361,11 @@ def _paired(
     ordered = np.array([stamp - first for stamp, _ in commands]) * 1e-9
     wanted = np.array([value for _, value in commands])
     last = np.maximum(np.searchsorted(ordered, edges[:-1], side="right") - 1, 0)
-    late = np.zeros(count, dtype=np.bool_)
-    if not waits:
-        voltage_age, command_age = (
-            edges[1:] - sent_at[np.maximum(np.searchsorted(sent_at, edges[1:], side="right") - 1, 0)]
-            for sent_at in (answered, ordered)
-        )
-        late = (voltage_age > LATE_VOLTAGE * period) | (command_age > LATE_COMMAND * period)
+    voltage_age, command_age = (
+        edges[1:] - times[np.maximum(np.searchsorted(times, edges[1:], side="right") - 1, 0)]
+        for times in (answered, ordered)
+    )
+    late = (voltage_age > LATE_VOLTAGE * period) | (command_age > LATE_COMMAND * period)
     return Record(period, reading, voltage, wanted[last], latency=latency, late=late)
 
 
