@@ -96,3 +96,17 @@ def test_the_demo_shows_one_valve_under_five_laws(run, tmp_path):
     assert errors["uncontrolled"] > 30.0 and 2.0 * errors["dcarc"] < errors["best PID"] < 4.0
     refused = run("demo", "--figure", "no_folder/picture.png")
     assert refused.status == 2 and "no_folder" in refused.err and not refused.out
+
+
+def test_a_trajectory_is_what_gains_for_preview_are_tuned_for(run, config):
+    """Without it they have six times the error."""
+    words = ["simulate", "--params-file", str(config / "d3fxe.yaml"), "--json", "-"]
+    tuned = ["--params-file", str(config / "tuned/narrow_0.25_dcarc.yaml")]
+    motion = ["--command", str(config / "commands/fast_strokes.csv")]
+    errors = [
+        json.loads(run(*words, *tuned, *motion, *more).out)["indices"]["e_rms"]
+        for more in ((), ("--preview",), ("--set", "message=trajectory"))
+    ]
+    assert 6.0 * errors[1] < errors[0] and errors[2] == errors[1]
+    refused = run(*words, "--preview", "--command-period", "0.005")
+    assert refused.status == 2 and "points of a trajectory have their times" in refused.err

@@ -73,8 +73,8 @@ def _valve_options(group: Any, nodes: str) -> None:
     parameter_options(group, f"any parameter of {nodes}")
 
 
-def delivery_options() -> Parser:
-    """Parser with the options that say how the commands come."""
+def delivery_options(points: bool = True) -> Parser:
+    """Parser with the options that say how the commands come; ``points``: also as a trajectory."""
     options = Parser(add_help=False)
     group = options.add_argument_group("delivery of the commands")
     group.add_argument(
@@ -95,6 +95,9 @@ def delivery_options() -> Parser:
         metavar="PPM",
         help="difference between the clocks of upper level and samples [ppm] (0)",
     )
+    if points:
+        text = "the command is known ahead: points of a trajectory, with rate and acceleration"
+        group.add_argument("--preview", action="store_true", help=text)
     return options
 
 
@@ -157,6 +160,8 @@ def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Value
         "valve_simulator": {"valve": arguments.valve, "seed": arguments.seed},
         "command_source": {"scenario": arguments.scenario, "duration": arguments.duration, **array},
     }
+    if getattr(arguments, "preview", False):
+        direct["command_source"]["message"] = "trajectory"
     for options in direct.values():
         options["sample_period"] = arguments.sample_period
     notes: list[str] = []
@@ -173,6 +178,17 @@ def _command(arguments: argparse.Namespace, values: Values) -> Any:
         return arrays.read(str(values["command_file"]))
     build.check_memory(number(values, "duration") / number(values, "sample_period"))
     return build.commands(values)
+
+
+def _derivatives(values: Values, command: Any, delivered: "Delivery | None") -> Any:
+    """Rates and accelerations of a ``command`` that is sent as points of a trajectory; None: it is not."""
+    from valve_control.control.parameters import build
+
+    if values["message"] != "trajectory":
+        return None
+    if delivered is not None:
+        raise ParameterError("points of a trajectory have their times; leave --command-period, -jitter out")
+    return build.derivatives(command, number(values, "sample_period"))
 
 
 def delivery_of(arguments: argparse.Namespace, values: Values) -> "Delivery | None":
@@ -232,6 +248,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
     settings = settings_of(arguments)
     command = _command(arguments, settings["command_source"])
     delivered = delivery_of(arguments, settings["controller"])
+    moved = _derivatives(settings["command_source"], command, delivered)
     from tqdm import tqdm
 
     with tqdm(total=len(command), unit=" samples", disable=len(command) < LONG, ascii=True) as bar:
@@ -241,6 +258,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
             command,
             told=lambda done: bar.update(done),
             delivered=delivered,
+            derivatives=moved,
         )
     if run.warning:
         print(f"warning: {run.warning}", file=sys.stderr)
@@ -312,7 +330,10 @@ def _compare(arguments: argparse.Namespace) -> None:
         own = settings_of(arguments, controller)["controller"]
         values = updated(NODES["controller"], own, {"controller": controller})
         delivered = delivery_of(arguments, values)
-        run = offline.finite_run(values, settings["valve_simulator"], command, delivered=delivered)
+        moved = _derivatives(settings["command_source"], command, delivered)
+        run = offline.finite_run(
+            values, settings["valve_simulator"], command, delivered=delivered, derivatives=moved
+        )
         if run.warning:
             print(f"warning: {run.warning}", file=sys.stderr)
         runs.append(run)

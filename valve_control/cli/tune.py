@@ -68,7 +68,7 @@ def add_commands(commands: Any) -> None:
     """Add tune to the command's sub-commands."""
     tune = commands.add_parser(
         "tune",
-        parents=[setup_options(several=True), delivery_options()],
+        parents=[setup_options(several=True), delivery_options(points=False)],
         help="search and verify the gains of laws for a valve and its spread",
         description="Search the gains of one or more laws. The objective is a small error of the true "
         "position at limited chatter, on valves drawn from the study's box around a valve. The sampled "

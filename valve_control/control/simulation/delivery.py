@@ -18,7 +18,8 @@ from scipy.interpolate import Akima1DInterpolator
 from valve_control.arrays import Floats
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead, reshaping
-from valve_control.control.supervision import clock, command_course
+from valve_control.control.laws.law import Law
+from valve_control.control.supervision import clock, command_course, trajectory, watch
 from valve_control.parameter import ParameterError, Values, number
 
 TOGETHER = 1e-9  # s  within which a message counts as come at the time of a sample
@@ -142,6 +143,13 @@ def unreshaped(p: reshaping.Params, wanted: Floats) -> Floats:
         return np.array([reshaping.command_of(p, x, v - 0.5 * p.period * a, a) for x, v, a in rows])
     lag = 2.0 * p.damping / p.natural_frequency
     return np.asarray(wanted[:-2] + lag * rate[:-1] + accel / p.natural_frequency**2)
+
+
+def of_points(law: Law, params: Any, position: Floats, rate: Floats, accel: Floats) -> Floats:
+    """Command [V] that lets ``law`` follow points of a trajectory [V, V/s, V/s²], as on spool_trajectory."""
+    follow = watch.places_of(law, 0.0)["law_commanded"]
+    points = zip(position.tolist(), rate.tolist(), accel.tolist(), strict=True)
+    return np.array([follow(params, trajectory.Motion(*point)) for point in points])
 
 
 def led(

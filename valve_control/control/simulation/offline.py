@@ -92,13 +92,15 @@ def simulate(
     told: Callable[[int], None] | None = None,
     alone: bool = False,
     delivered: Delivery | None = None,
+    derivatives: tuple[Floats, Floats] | None = None,
 ) -> Run:
     """Simulate the loop over ``command`` [V], one entry per sample. Raises ParameterError.
 
     ``noise_start``: how many LVDT readings the simulator had already made when the controller joined.
     ``told`` is called with the number of samples done since its last call. ``alone``: the parameters of
     other laws are not looked at. ``delivered``: how the command comes; None: one for each sample, in time.
-    The error is that from ``command`` all the same.
+    ``derivatives`` [V/s, V/s²]: of a command that comes as points of a trajectory. The error is that from
+    ``command`` all the same.
     """
     check_agreement(controller_values, valve_values)
     law = LAWS[word(controller_values, "controller")]
@@ -114,8 +116,11 @@ def simulate(
     noise = np.random.default_rng(seed).standard_normal(noise_start + n)[noise_start:]
     loop = _Loop(law, law_params, linearisation.behind(controller_values, law_params), valve_params)
     terms = np.zeros((n, len(labels)))
-    lead = command_lead.build(controller_values, law.reshapes(law_params))
-    led = delivery.led(lead, controller_values, command, delivered)
+    if derivatives is None:
+        lead = command_lead.build(controller_values, law.reshapes(law_params))
+        led = delivery.led(lead, controller_values, command, delivered)
+    else:
+        led = delivery.of_points(law, law_params, command, *derivatives)
     signals, end = _ran(loop, led, noise, terms, compiled, told)
     position, measurement, voltage = signals.T
     least = number(controller_values, "oscillation_limit")

@@ -12,11 +12,9 @@ from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices, indices
 from valve_control.control.laws import dcarc
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.plant.models import scale_of
 from valve_control.control.simulation import offline
-from valve_control.control.supervision import trajectory, watch
 from valve_control.design.commissioning import model, plant
 from valve_control.design.commissioning.bench import Fault, Progress, Record
 from valve_control.design.commissioning.courses import derivatives
@@ -27,7 +25,7 @@ from valve_control.design.identification.first_gains import FRICTION_TERMS
 from valve_control.design.tuning import box, trial, tuner
 from valve_control.design.tuning.trial import Problem, TuningMotion
 from valve_control.design.tuning.tuner import Aim, Tuned
-from valve_control.parameter import Values, defaults, number, updated, word
+from valve_control.parameter import Values, defaults, number, updated
 
 WORSE = 1.5  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
@@ -223,13 +221,9 @@ def _simulated(
     part that count, all if None.
     """
     wanted, judged = motion.wanted, motion.judged
-    follow = watch.places_of(LAWS[word(values, "controller")], 0.0)["law_commanded"]
-    params = build.law_params(values)
-    points = zip(wanted, *derivatives(wanted, number(valve, "sample_period")), strict=True)
-    command = np.array([follow(params, trajectory.Motion(*map(float, point))) for point in points])
-    as_points = updated(CONTROLLER, values, {"reshaping.lead": 0.0, "command_limit": 100.0})
+    moved = derivatives(wanted, number(valve, "sample_period"))
     with np.errstate(over="ignore", invalid="ignore"):
-        run = offline.simulate(as_points, valve, command)
+        run = offline.simulate(values, valve, wanted, derivatives=moved)
         kept = None if steady is None else np.resize(steady, len(wanted) - judged)
         reached = indices((run.measurement - wanted)[judged:], run.voltage[judged:], run.period, kept)
     bounded = np.all(np.isfinite(run.measurement)) and np.mean(run.at_limit[judged:]) < SATURATED
