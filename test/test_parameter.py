@@ -28,16 +28,6 @@ def test_type_and_range_in_words(parameter, kind, words):
     assert (parameter.type_name, parameter.range_text) == (kind, words)
 
 
-def test_the_description_has_default_unit_and_range():
-    assert GAIN.described == "gain = 120.0 1/s  (0 to 500)\n    a gain"
-    assert COUNT.described == "count = 3  (1 to 9)\n    a number"
-
-
-@pytest.mark.parametrize("parameter", TABLE)
-def test_the_default_is_taken(parameter):
-    assert parameter.check(parameter.default) == parameter.default
-
-
 @pytest.mark.parametrize(
     ("parameter", "value", "said"),
     [(GAIN, 120, "gain is 120; it must be a double (write 120.0, not 120)"),

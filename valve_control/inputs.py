@@ -42,16 +42,10 @@ def expanded(path: str, what: str) -> Path:
 
 def check(path: str, what: str) -> None:
     """Raise ParameterError unless ``path``, named ``what`` in the message, is a file or the end of a pipe."""
-    if not path:
-        raise ParameterError(f"{what} has an empty name")
-    if "\0" in path:
-        raise ParameterError(f"{what} {path!r} cannot be read: a name has no zero in it")
-    found = Path(path)
+    file = Path(path)
     try:
-        if found.is_dir():
-            raise ParameterError(f"{what} {path} cannot be read: it is a folder")
-        if found.exists() and not (found.is_file() or found.is_fifo()):
-            raise ParameterError(f"{what} {path} cannot be read: it is a device, not a file")
+        if "\0" in path or (file.exists() and not (file.is_file() or file.is_fifo())):
+            raise ParameterError(f"{what} {path!r} cannot be read: it is no file")
     except OSError as error:
         raise ParameterError(f"{what} {path} cannot be read: {error.strerror or error}") from error
 

@@ -209,28 +209,6 @@ def test_a_wait_for_the_device_is_no_standstill_of_the_process(ros, monkeypatch)
         assert "stalled" in valve._supervisor.conditions
 
 
-def test_the_voltage_of_a_silence_is_on_the_topic_whatever_the_decimation(ros, monkeypatch):
-    bus, heard = Bus(), []
-    ros.create_subscription(Float64, "valve_voltage", lambda m: heard.append(m.data), 100)
-    with beside(monkeypatch, bus, "signal_decimation:=10") as valve:
-        spin_until(ros, lambda: valve._voltages.get_subscription_count() == 1, "the subscription")
-        for _ in range(10):
-            valve.work()
-            valve.report()
-        spin_until(ros, lambda: heard, "the tenth voltage")
-        assert len(heard) == 1 and heard[0] != 0.0
-        valve.work()  # so that the time of the wait above is no standstill
-        valve.report()
-        bus.mute = True
-        valve.work()
-        valve.report()
-        spin_until(ros, lambda: len(heard) > 1, "the voltage of the silence")
-        assert heard[1:] == [0.0]
-        valve.trigger_deactivate()
-        spin_until(ros, lambda: len(heard) > 2, "the last voltage")
-        assert heard[2:] == [0.0]
-
-
 def users(port):
     """How many open files of this process are ``port``."""
     found = 0

@@ -202,14 +202,6 @@ def of_launch(file, node, **given):
             {"sample_period": 0.002},
         ),
         (
-            "cascade.launch.xml", "/command_source", "duration: 7.0", {"scenario": "sine"},
-            {"duration": 7.0, "scenario": "sine"},
-        ),
-        (
-            "cascade.launch.xml", "/crane/command_source", "scenario: sine", {"namespace": "crane"},
-            {"duration": 60.0, "scenario": "sine"},
-        ),
-        (
             "axis.launch.xml", "/axis_controller", "message: trajectory, upper_level: axis_arc", {},
             {"message": "trajectory", "upper_level": "axis_arc", "machine": "bench"},
         ),

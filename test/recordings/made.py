@@ -14,7 +14,7 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.supervision.command_course import Motion
-from valve_control.control.supervision.journal import Event, Journal
+from valve_control.control.supervision.journal import Journal
 from valve_control.control.supervision.state_snapshot import snapshot
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
@@ -158,7 +158,7 @@ class Run:
         self.flush()
         self.say(f"{self.namespace}/controller", new)
 
-    def times(self, stamp, kind=Event.COMMAND):
+    def times(self, stamp, kind="command"):
         """Time stamp [s] of a message, if its middleware has one, and time [s] since the last reading."""
         if not self.stamped:
             return math.nan, 0.0
@@ -172,7 +172,7 @@ class Run:
         else:
             time = self.time + PERIOD - 300_000 - ago
             motion = Motion(position, velocity, acceleration)
-            self.supervisor.trajectory(motion, *self.times(time, Event.TRAJECTORY))
+            self.supervisor.trajectory(motion, *self.times(time, "trajectory"))
             self.sent += 1
             name = f"{self.namespace}/spool_trajectory"
             data = trajectory_point(position, velocity, acceleration)

@@ -81,10 +81,3 @@ def test_noise_alone_is_no_hum():
     random = np.random.default_rng(4)
     for _ in range(20):
         assert watched(0.03 * random.standard_normal(10_000)).frequency == 0.0
-
-
-def test_blocks_that_are_too_long_for_the_mains_show_no_hum():
-    p = hum_watch.design({}, CHECK._replace(span=0.02))  # a period of 50 Hz
-    assert p.blocks == 0.0 and hum_watch.design({}, CHECK).blocks > 0.0
-    seen = plausibility.initial(CHECK, 0.0, 0.0)
-    assert hum_watch.step(p, hum_watch.NOTHING, seen) is hum_watch.NOTHING

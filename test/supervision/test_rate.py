@@ -81,7 +81,7 @@ def test_beyond_the_limit_the_voltage_is_off_until_the_period_is_right(factor):
     assert made.mode is Mode.SAFE and made.voltage == 0.0
     assert f"every {factor:g} ms, sample_period is 1 ms" in made.reason
     number = feed(made, 5.0, factor * PERIOD, number)
-    assert made.mode is Mode.SAFE and made.counts["safe_stops"] == 1
+    assert made.mode is Mode.SAFE and made.memory.counts["safe_stops"] == 1
     feed(made, 2.0, PERIOD, number)
     assert made.mode is Mode.OK
 
@@ -140,7 +140,7 @@ def test_standstills_and_their_bursts_are_no_period(pause, apart):
     made = supervisor(controller="arc")
     reasons = run_as_a_node(made, with_standstills(pause, apart))
     assert not any("come every" in reason for reason in reasons)
-    assert made.counts["safe_stops"] == (12 if pause > 0.0215 else 0)
+    assert made.memory.counts["safe_stops"] == (12 if pause > 0.0215 else 0)
 
 
 @pytest.mark.parametrize("factor", [0.2, 0.5, 0.8, 1.2, 2.0, 10.0])

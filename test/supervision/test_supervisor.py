@@ -478,4 +478,4 @@ def test_voltage_is_given_once_and_is_the_one_returned(law, readings, lost):
         assert given_voltages == [voltage]
         assert voltage == plain.sample(reading, number, PERIOD)
     assert giving.telemetry() == pytest.approx(plain.telemetry(), nan_ok=True, abs=0.0)
-    assert giving.conditions == plain.conditions and giving.counts == plain.counts
+    assert giving.conditions == plain.conditions and giving.memory.counts == plain.memory.counts

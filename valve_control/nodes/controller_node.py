@@ -23,7 +23,7 @@ from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.supervision import rate
 from valve_control.control.supervision.cache_warming import CacheWarming
 from valve_control.control.supervision.command_course import Motion
-from valve_control.control.supervision.journal import OBSERVED, TYPES, Event, Journal
+from valve_control.control.supervision.journal import OBSERVED, TYPES, Journal
 from valve_control.control.supervision.record import Mode, named_terms
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.nodes import realtime
@@ -397,13 +397,13 @@ class Controller(Managed):
             since = time.monotonic() - self._seen - ago
         supervisor, journal, sent = self._supervisor, self._journal, info.get("source_timestamp", 0)
         if not isinstance(message, TrajectoryPoint):
-            supervisor.command(message, journal.seconds(Event.COMMAND, sent * self._paced), since)
+            supervisor.command(message, journal.seconds("command", sent * self._paced), since)
             self._last_command = time.monotonic()
             return
         counts = len(message.positions), len(message.velocities), len(message.accelerations)
         if counts == (1, 1, 1):
             motion = Motion(*message.positions, *message.velocities, *message.accelerations)
-            supervisor.trajectory(motion, journal.seconds(Event.TRAJECTORY, message.time or sent), since)
+            supervisor.trajectory(motion, journal.seconds("trajectory", message.time or sent), since)
             self._last_command = time.monotonic()
         else:
             supervisor.trajectory_refused(*counts)

@@ -44,6 +44,7 @@ class Event(IntEnum):
     TRAJECTORY_PUBLISHERS = 15
 
 
+ALONE, CHANGE = Event.COMMAND, Event.PARAMETERS  # an access to a member takes as long as half a row
 OBSERVED = {
     "spool_command": (Event.COMMAND_PUBLISHERS, "command_publishers"),
     "spool_trajectory": (Event.TRAJECTORY_PUBLISHERS, "trajectory_publishers"),
@@ -67,16 +68,16 @@ class Journal:
         self.count = 0  # rows since the beginning
         self._base = 0  # ns
         self._command = math.nan  # taken, and not in a row yet
-        self._epochs = {Event.COMMAND: 0, Event.TRAJECTORY: 0}  # ns  of the senders' clocks
-        self._stamps = {Event.COMMAND: 0.0, Event.TRAJECTORY: 0.0}  # s  the last ones
+        self._epochs = {"command": 0, "trajectory": 0}  # ns  of the senders' clocks
+        self._stamps = {"command": 0.0, "trajectory": 0.0}  # s  the last ones
         self.owes_account = True  # of parameters that came into use
 
     def __len__(self) -> int:
         """Number of rows that wait to be taken."""
         return len(self._rows) // len(COLUMNS)
 
-    def seconds(self, kind: Event, stamp: int) -> float:
-        """``stamp`` [ns] of a COMMAND or TRAJECTORY in s, NaN for 0, which is unknown.
+    def seconds(self, kind: str, stamp: int) -> float:
+        """``stamp`` [ns] of a command or trajectory in s, NaN for 0, which is unknown.
 
         It counts from a moment on that keeps it short, by another one LATER than before.
         """
@@ -99,9 +100,9 @@ class Journal:
         """Write a row; a ``command`` [V] without a time stamp waits for the row of the next event."""
         if command is not None:
             if not math.isnan(self._command):
-                self.note(Event.COMMAND)
+                self.note(ALONE)
             self._command = command
-            if event is Event.COMMAND and math.isnan(reading) and not math.isnan(command):
+            if event is ALONE and math.isnan(reading) and not math.isnan(command):
                 return
         now = self._clock()
         if not self._rows:
@@ -109,12 +110,12 @@ class Journal:
         self._rows.extend((now - self._base, event, self._command, reading, number, elapsed, voltage))
         self._command = math.nan
         self.count += 1
-        self.owes_account = self.owes_account or event is Event.PARAMETERS
+        self.owes_account = self.owes_account or event is CHANGE
 
     def take(self) -> array:  # type: ignore[type-arg]  # not subscriptable at run time
         """Return the rows since the last call, after HEAD numbers; an empty array without rows."""
         if not math.isnan(self._command):
-            self.note(Event.COMMAND)
+            self.note(ALONE)
         taken = array("d")
         if self._rows:
             taken.extend((*divmod(self.run, 10**9), self.count - len(self), *divmod(self._base, 10**9)))

@@ -51,7 +51,7 @@ from valve_control.control.supervision.record import (
 from valve_control.parameter import Values, number, word
 
 
-def unused(*values: float | None, command: float | None = None) -> None:
+def unused(*values: Any, **named: Any) -> None:
     """Placeholder for a receiver of the voltage or of rows, where nobody needs them."""
 
 

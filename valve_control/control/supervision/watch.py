@@ -125,18 +125,18 @@ def law_steady_command(p: Any, start: Start) -> float:
 
 
 def law_resumed(p: Any, former: Any) -> Any:
-    """Place of ``as_designed``, ``with_estimates`` or ``bumpless_transfer.resumed``."""
-    raise NotImplementedError
+    """Parameters with which a law starts again, one without estimates; place of others."""
+    return p
 
 
 def law_commanded(p: Any, motion: points.Motion) -> float:
-    """Place of ``by_motion`` or ``by_position``."""
-    raise NotImplementedError
+    """Command [V] of a law that does not reshape; place of ``by_motion``."""
+    return motion.position
 
 
 def amplified(p: Params, voltage: float) -> float:
-    """Place of ``as_given`` or ``linearised``."""
-    raise NotImplementedError
+    """Voltage [V] of the amplifier, where that of the law is the same; place of ``linearised``."""
+    return voltage
 
 
 @node_only
@@ -154,11 +154,6 @@ def are_finite(voltage: float, terms: Any) -> bool:
     return math.isfinite(voltage) and all(map(math.isfinite, terms))
 
 
-def as_designed(p: Any, former: Any) -> Any:
-    """Parameters with which a law without estimates starts again."""
-    return p
-
-
 def with_estimates(p: Any, former: Any) -> Any:
     """Parameters with which a law starts again from the estimates that it had."""
     return p._replace(theta_initial=Theta(*map(clip, former.theta, p.theta_min, p.theta_max)))
@@ -167,16 +162,6 @@ def with_estimates(p: Any, former: Any) -> Any:
 def by_motion(p: Any, motion: points.Motion) -> float:
     """Command [V] with which a law that reshapes follows ``motion``."""
     return reshaping.command_of(p.reshaping, motion.position, motion.velocity, motion.acceleration)
-
-
-def by_position(p: Any, motion: points.Motion) -> float:
-    """Command [V] of a law that does not reshape."""
-    return motion.position
-
-
-def as_given(p: Params, voltage: float) -> float:
-    """Voltage [V] of the amplifier where that of the law is the same."""
-    return voltage
 
 
 def linearised(p: Params, voltage: float) -> float:
@@ -798,7 +783,7 @@ def with_places(places: Mapping[str, Any]) -> types.SimpleNamespace:
 def places_of(law: Law, line: Any) -> dict[str, Callable[..., Any]]:
     """The functions of ``law`` by the names of their places; ``line`` as in Params."""
     module = law.module
-    moved = by_motion if "reshaping" in module.Params._fields else by_position
+    moved = by_motion if "reshaping" in module.Params._fields else law_commanded
     return {
         "law_initial": module.initial,
         "law_step": module.step,
@@ -806,7 +791,7 @@ def places_of(law: Law, line: Any) -> dict[str, Callable[..., Any]]:
         "law_steady_command": law.steady_command,
         "law_resumed": bumpless_transfer.resumed,
         "law_commanded": moved,
-        "amplified": as_given if isinstance(line, float) else linearised,
+        "amplified": amplified if isinstance(line, float) else linearised,
     }
 
 
@@ -826,7 +811,7 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
         "Params": params,
         "State": memory,
         "Theta": hints["theta_initial"] if adapts else Theta,
-        "law_resumed": with_estimates if adapts else as_designed,
+        "law_resumed": with_estimates if adapts else law_resumed,
         "watch_block": unwatched,
     }
     made = with_places({**places_of(law, line), **others})
