@@ -27,6 +27,7 @@ from valve_control.control.laws.places import law_initial
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import linear_loop
+from valve_control.control.linear.linear_loop import load, store
 from valve_control.control.plant import registry, sensor, valve
 from valve_control.control.plant.plant import Plant
 from valve_control.control.simulation import measures, offline
@@ -89,16 +90,6 @@ class Batch(NamedTuple):
     seeds: Sequence[int] | npt.NDArray[np.int64]  # of the LVDTs' noise
     commands: Floats
     led: Floats | None = None  # V, of the same shape: with the lead of ``command_lead``; None: ``commands``
-
-
-def load(like: Any, block: Floats, lane: int) -> Any:
-    """Placeholder for ``simd_layout.load``."""
-    raise NotImplementedError
-
-
-def store(value: Any, block: Floats, lane: int) -> None:
-    """Placeholder for ``simd_layout.store``."""
-    raise NotImplementedError
 
 
 def fill(generators: Any, noise: Floats) -> None:
@@ -209,23 +200,11 @@ def _compiled(law: types.ModuleType) -> Callable[..., None]:
 
     access = {"load": simd_layout.load, "store": simd_layout.store}
     start = compile_function(begin, {**access, "law_initial": compile_function(law.initial)})
-    parts = {
-        "next_command": compile_function(closed_loop.command_given),
-        "read": compile_function(read_delayed),
-        "law_step": compile_function(law.step),
-        "measured": compile_function(counted),
-    }
-    one = compile_function(closed_loop.sample, parts)
-    return compile_function(
-        run_block,
-        {
-            **access,
-            "begin": start,
-            "fill": compile_function(noise.fill),
-            "sample": compile_function(sample, {"one_sample": one}),
-        },
-        nogil=True,
-    )
+    places = (closed_loop.command_given, read_delayed, law.step, counted)
+    parts = dict(zip(closed_loop.PLACES, map(compile_function, places), strict=True))
+    one = compile_function(sample, {"one_sample": compile_function(closed_loop.sample, parts)})
+    inner = {**access, "begin": start, "fill": compile_function(noise.fill), "sample": one}
+    return compile_function(run_block, inner, nogil=True)
 
 
 @cache
