@@ -111,15 +111,6 @@ def test_bad_input_is_one_sentence(options, text, tmp_path, capsys, monkeypatch)
     assert text in printed and len(printed.splitlines()) == 1
 
 
-def test_command_array_is_run_whole_at_one_sample_period(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    np.savetxt("c.csv", np.sin(np.arange(700) * 0.01))
-    common = ["study", "--command", "c.csv", "--set", "sample_period=0.002", "--replay", "3"]
-    assert main([*common, "--output", "v.yaml"]) == 0
-    assert main(["simulate", "--params-file", "v.yaml", "--json", "b.json"]) == 0
-    assert json.loads((tmp_path / "b.json").read_text())["duration"] == pytest.approx(1.4)
-
-
 def test_ctrl_c_ends_a_study_at_once_and_loses_nothing(tmp_path):
     words = ["--valves", "1000000", "--duration", "0.5", "--folder", "kept"]
     command = [sys.executable, "-m", "valve_control.cli", "study", *words]

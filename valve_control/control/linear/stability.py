@@ -89,12 +89,11 @@ def coil_warning(law: Law, params: Any, values: Values) -> str:
         at_rest = pole_of(law, params, valves)
         pole = max(at_rest, pole_of(law, params, gained), key=abs)
         if abs(pole) >= 1.0:
-            frequency = abs(cmath.phase(pole)) / (2.0 * math.pi * params.period)
             remedy = law.remedy if abs(at_rest) < 1.0 else _advice(law, params, valves, "lower the gains")
             return (
                 f"{law.name} knows no coil, and on the model of {other.name}, which has one, it is unstable "
-                f"with these gains, or within 2 dB of it (largest pole of the sampled loop: {abs(pole):.3f}, "
-                f"at {frequency:.3g} Hz); {remedy}, or use {other.name}"
+                f"with these gains, or within 2 dB of it ({_largest(pole, params)}); {remedy}, or use "
+                f"{other.name}"
             )
     return ""
 
@@ -135,12 +134,15 @@ def valve_warning(law: Law, params: Any, plant: Any, values: Values) -> str:
     pole, valves = max(((pole_of(law, params, one), one) for one in several), key=lambda found: abs(found[0]))
     if abs(pole) <= STABLE:
         return ""
-    frequency = abs(cmath.phase(pole)) / (2.0 * math.pi * params.period)
     return (
-        f"{law.name} with these gains is unstable on this valve (largest pole of the sampled loop: "
-        f"{abs(pole):.3f}, at {frequency:.3g} Hz); {_advice(law, params, valves, 'lower the gains')}, or "
-        "give the law this valve's parameters"
+        f"{law.name} with these gains is unstable on this valve ({_largest(pole, params)}); "
+        f"{_advice(law, params, valves, 'lower the gains')}, or give the law this valve's parameters"
     )
+
+
+def _largest(pole: complex, params: Any) -> str:
+    frequency = abs(cmath.phase(pole)) / (2.0 * math.pi * params.period)
+    return f"largest pole of the sampled loop: {abs(pole):.3f}, at {frequency:.3g} Hz"
 
 
 def stable_gains(law: Law, params: Any, valves: LinearValves) -> tuple[int | None, int | None]:

@@ -242,15 +242,16 @@ def _rows(name: str, params: Records | tuple[Any, ...], like: Any, count: int) -
     return np.broadcast_to(flat, (count, flat.shape[1]))
 
 
+def _is(params: Any, like: tuple[Any, ...]) -> bool:
+    """Whether ``params`` are of the kind of ``like``, or rows of it."""
+    rows = isinstance(params, np.ndarray) and params.dtype == _dtype_of(like)
+    return rows or isinstance(params, type(like))
+
+
 def _plant(params: Any) -> Plant:
-    """The plant whose Params, or rows of them, ``params`` are. Raises ValueError."""
-    for plant in registry.PLANTS.values():
-        kind = plant.module.Params
-        if isinstance(params, kind):
-            return plant
-        if isinstance(params, np.ndarray) and params.dtype == _dtype_of(template(kind)):
-            return plant
-    return registry.PLANTS["linear"]
+    """The plant whose Params, or rows of them, ``params`` are; the linear one if they are none."""
+    plants = (plant for plant in registry.PLANTS.values() if _is(params, template(plant.module.Params)))
+    return next(plants, registry.PLANTS["linear"])
 
 
 def _law(batch: Batch) -> tuple[types.ModuleType, Any]:
@@ -258,11 +259,7 @@ def _law(batch: Batch) -> tuple[types.ModuleType, Any]:
     module, params = LAWS[batch.controller].module, batch.law_params
     alone, curve = template(LAWS[batch.controller].module.Params), template(linearisation.Curve)
     wide = linearisation.Params(alone, curve, curve, 0.0, 0.0)
-    if isinstance(params, linearisation.Params) or (
-        isinstance(params, np.ndarray) and params.dtype == _dtype_of(wide)
-    ):
-        return linearisation.around(module), wide
-    return module, alone
+    return (linearisation.around(module), wide) if _is(params, wide) else (module, alone)
 
 
 class Prepared(NamedTuple):

@@ -286,12 +286,6 @@ def _read(path: Path, study: Study, digest: str, chunk: int) -> tuple[Floats, ..
     return parts
 
 
-def worst(found: StudyResult, index: str, count: int) -> list[int]:
-    """Numbers of the worst valves by ``index``; those that did not stay finite come first."""
-    values = np.where(found.results.finite, getattr(found.results, index), np.inf)
-    return [int(i) for i in np.argsort(-values, kind="stable")[:count]]
-
-
 def summary(found: StudyResult, limit: float = LIMIT, count: int = 10) -> dict[str, Any]:
     """Percentiles of the indices, share of unstable loops by ``limit`` [V], and worst valves, for JSON."""
     finite, unstable = found.results.finite, found.unstable(limit)
@@ -301,6 +295,10 @@ def summary(found: StudyResult, limit: float = LIMIT, count: int = 10) -> dict[s
         values = np.percentile(getattr(found.results, name)[finite], PERCENTS).tolist()
         return dict(zip(map(str, PERCENTS), values, strict=True))
 
+    def worst(name: str) -> list[int]:  # those that did not stay finite come first
+        values = np.where(finite, getattr(found.results, name), np.inf)
+        return [int(i) for i in np.argsort(-values, kind="stable")[:count]]
+
     by_period = {f"{p:g}": float(np.mean(unstable[found.period == p])) for p in np.unique(found.period)}
     return {
         "valves": len(finite),
@@ -308,5 +306,5 @@ def summary(found: StudyResult, limit: float = LIMIT, count: int = 10) -> dict[s
         "unstable": float(np.mean(unstable)),
         "unstable_by_period": by_period,
         "percentiles": {name: percentiles(name) for name in names},
-        "worst": {name: worst(found, name, count) for name in ("e_rms", "e_M", "e_F")},
+        "worst": {name: worst(name) for name in ("e_rms", "e_M", "e_F")},
     }
