@@ -9,7 +9,7 @@ import pytest
 import scipy.signal
 from changed import controller
 
-from valve_control.control.laws import dcarc, dcarc_design, magnet
+from valve_control.control.laws import dcarc, dcarc_design
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import stability
 from valve_control.control.simulation import delivery
@@ -79,20 +79,6 @@ def test_hysteresis_and_unequal_gains_are_learned():
     assert learned < 0.25 * still
     assert s.magnet.weights.direction == pytest.approx(0.1, rel=0.2)
     assert s.magnet.weights.positive == pytest.approx(1.0 / 1.15 - 1.0, rel=0.2)
-
-
-def test_the_force_is_the_voltage_behind_the_coil():
-    """Trapezoidal rule against the exact response to a sine."""
-    p = law(dcarc__coil=COIL).magnet
-    s = magnet.State(0.0, 0.0, 0.0, 0.0, magnet.NONE, magnet.NONE, magnet.NONE)
-    w, found = 2.0 * math.pi * 10.0, []
-    for k in range(400):
-        force, rate = magnet.forced(p, s, math.sin(w * k * PERIOD), PERIOD)
-        s = s._replace(force=force, rate=rate)
-        found.append(force)
-    k = np.arange(400)
-    steady = np.imag(np.exp(1j * w * k * PERIOD) / (1.0 + 1j * w * COIL))
-    assert np.allclose(found[100:], steady[100:], atol=2e-4)
 
 
 def delayed(p, delay, sensor=0.0, samples=1500):
