@@ -8,6 +8,7 @@ which the bandwidth is found. Beside it stands how far any law could get: the am
 and back at each frequency, makes the largest sine that there is.
 """
 
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from valve_control.axis import axis_arc_sampled, cascade, course, machine, run
+from valve_control.axis import axis_arc, axis_arc_sampled, cascade, course, machine, run
 from valve_control.axis import axis_parameters as parameters
 from valve_control.axis.axis_parameters import AXIS, AXIS_NODES
 from valve_control.control.compiling import compile_function
@@ -123,7 +124,8 @@ class Axis:
         overlap = 0.8 * axis.overlaps.pa * axis.full_scale  # what its user knows of it
         if base.level == axis_arc_sampled.NAME:
             model = axis_arc_sampled.model_of(axis, parameters.supply_pressure(values))
-            own = axis_arc_sampled.own_frequency(model, axis.bulk_modulus, 1.0 / axis.load.mass)
+            stiffness = axis_arc.stiffness(model, 0.5 * model.stroke)
+            own = math.sqrt(axis.bulk_modulus * (1.0 / axis.load.mass) * stiffness)
             changes: Values = {"overlap": overlap, "axis_arc.coupling": min(own, FASTEST)}
             changes["axis_arc.lead"] = base.cascade.upper.lead
             level = updated(UPPER, defaults(UPPER), {**ARC, **changes})

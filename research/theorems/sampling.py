@@ -77,8 +77,7 @@ def critical_period(weight: float, gain: float = 1.0) -> float:
 
     def excess(period: float) -> float:
         p = oarc.build(_controller(weight, period))
-        a1, a0, b0, _ = p.theta_initial
-        return stability.spectral_radius(oarc.LAW, p, (a1, a0, gain * b0)) - 1.0
+        return abs(stability.pole_of(oarc.LAW, p, stability.believed(oarc.LAW, p, gain))) - 1.0
 
     grid = np.geomspace(PERIODS[0], LONGEST, 25)
     for before, after in itertools.pairwise(grid.tolist()):

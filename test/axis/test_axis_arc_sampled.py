@@ -40,11 +40,7 @@ def test_the_observer_has_three_equal_poles():
 
     def after(position, velocity, unexplained):
         s = level.initial(p)._replace(
-            theta=none,
-            samples=1.0,
-            position=position,
-            velocity=velocity,
-            unexplained=unexplained,
+            theta=none, samples=1.0, position=position, velocity=velocity, unexplained=unexplained
         )
         s = level.observed(p, s, Reading(0.0, 0.0, 0.0, 0.0))
         return s.position, s.velocity, s.unexplained

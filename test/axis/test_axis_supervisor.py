@@ -188,7 +188,7 @@ def test_the_spools_velocity_and_acceleration_are_the_derivatives_of_its_command
 def test_with_pressures_that_cannot_be_believed_axis_arc_is_stopped_and_axis_pid_is_not():
     for level, stops in (("axis_pid", False), ("axis_arc", True)):
         p, _ = designed(upper_level=level, sensor__hold_samples=2)
-        assert supervisor.needs_pressures(p) == stops
+        assert stops == p.level.NEEDS_PRESSURES
         s = supervisor.at_rest(p)
         for k in range(1, 20):
             s = supervisor.sample(p, s, Reading(math.nan, 0.2, 50e5, 80e5), k * MS)

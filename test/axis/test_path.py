@@ -110,24 +110,6 @@ def test_a_course_between_two_points_is_refused_if_and_only_if_it_leaves_stroke_
     assert 30 < sum(outcomes) < 270
 
 
-@pytest.mark.parametrize("whole", [True, False], ids=["quintic", "cubic"])
-def test_pieces_that_all_touch_a_speed_limit_are_taken_and_refused_below_it(whole):
-    """Each piece of 1 ms begins and ends at 0.5 m/s and is slower between."""
-    count, way = 300, 0.0004
-    out = [(0.1 + way * k, 0.5, 0.0, 500 + k) for k in range(count + 1)]
-    rows = [(0.07, 0.0, 0.0, 0), (0.07, 0.0, 0.0, 100), *out, (out[-1][0] + 0.02, 0.0, 0.0, 900)]
-    course_points = [p if whole else p._replace(acceleration=None) for p in points(*rows)]
-    start = Goal(0.07, 0.0, 0.0)
-    wide = path.Range(-9.0, 9.0, 99.0, 99.0, 0.002)
-    made = path.through(course_points, start, wide)
-    v = [path.goal_of(made, int(t))[1] for t in np.linspace(500 * MS, (500 + count) * MS, 7 * count)]
-    assert max(v) == pytest.approx(0.5, abs=1e-12) and min(v) < 0.4
-    assert max(path.goal_of(made, int(t))[1] for t in np.linspace(0, made.end, 5000)) < 0.5 + 1e-12
-    path.through(course_points, start, ABLE._replace(speed_out=0.5))
-    with pytest.raises(ParameterError, match="outwards"):
-        path.through(course_points, start, ABLE._replace(speed_out=0.499999))
-
-
 @pytest.mark.parametrize("present", [REST, Goal(0.2, 0.2, 1.0), Goal(0.3, -0.1, 0.0)])
 def test_a_goal_is_reached_from_any_motion_within_the_limits(present):
     made = path.towards(0.25, present, LIMITS, ABLE)

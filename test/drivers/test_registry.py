@@ -78,14 +78,6 @@ def test_the_example_of_the_docs_drives_files_of_counts(tmp_path):
         print(one.read().signal, (folder / "out_voltage0_raw").read_text().strip())
         one.close()
         print((folder / "out_voltage0_raw").read_text().strip(), KINDS["iio"].package)
-        unipolar = drivers.device({**values, "voltage.scale": "*0.00030517578125-10"})  # 0 to 65,536 counts
-        unipolar.open()
-        unipolar.enable(True)
-        print((folder / "out_voltage0_raw").read_text().strip())
-        unipolar.write(-5.0)
-        print((folder / "out_voltage0_raw").read_text().strip())
-        unipolar.close()
-        print((folder / "out_voltage0_raw").read_text().strip())
         (folder / "in_voltage0_raw").write_text("busy")
         try:
             drivers.device(values).open()
@@ -105,5 +97,4 @@ def test_the_example_of_the_docs_drives_files_of_counts(tmp_path):
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert lines[:2] == ["5.0 -16384", "0 valve_iio_card"]
-    assert lines[2:5] == ["32768", "16384", "32768"], "0 V of an output that has no negative counts"
-    assert "gives no number" in lines[5]
+    assert "gives no number" in lines[2]

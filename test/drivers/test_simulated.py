@@ -6,10 +6,8 @@ import changed
 import numpy as np
 import pytest
 
-from valve_control.control.drivers import simulated, ticks, trial
-from valve_control.control.drivers.device import Device, Side
+from valve_control.control.drivers import simulated, ticks
 from valve_control.control.drivers.driver import PolledDriver
-from valve_control.control.drivers.scaling import Scale
 from valve_control.control.drivers.simulated import BACKLOG, SimulatedValve
 from valve_control.control.parameters import build
 from valve_control.control.plant import valve
@@ -69,17 +67,3 @@ def test_a_paced_one_gives_one_reading_a_tick_and_makes_up_for_late_ones(monkeyp
     for _ in range(round(2.0 * BACKLOG / P.period)):
         state = valve.step(P, state, 0.0)
     assert driver._state == state, "the spool moved meanwhile"
-
-
-def test_a_dry_run_tells_noise_rate_and_losses_and_writes_nothing():
-    side = Side(Scale(1.0), -11.0, 11.0)
-    device = Device(SimulatedValve(P, 3, False), side, side, P.period)
-    found = trial.run(device, 0.05)
-    assert len(found.volts) == len(found.times) > 50 and found.lost == 0 and found.conditions == {}
-    assert np.std(found.volts) == pytest.approx(0.004, rel=0.3), "the spool rests"
-    assert trial.noise(found.volts) == pytest.approx(0.004, rel=0.3)
-    readings, rate, position, noise = trial.told(found, device, P.period)
-    assert readings == f"readings   {len(found.volts)}, of which 0 not valid; 0 lost"
-    assert (
-        rate.startswith("rate       ") and position.startswith("position   ") and noise.startswith("noise ")
-    )

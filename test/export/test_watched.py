@@ -41,7 +41,7 @@ def test_the_contract(run, tmp_path):
     assert "OARC_LVDT_DISAGREES" in header and "OARC_LIMIT_CYCLE" in header and "OARC_LVDT_HUM" in header
     rows = (place / "check.csv").read_text().splitlines()
     assert {row.split(",")[0] for row in rows[1:]} == {
-        *("sample", "command", "at", "point", "unpoint", "gone", "silence", "reset"),
+        *("sample", "command", "at", "point", "unpoint", "gone", "silence", "reset")
     }
     done = check(place)
     assert done.returncode == 0 and f"{len(rows) - 1} rows equal to the last bit" in done.stdout, done.stderr

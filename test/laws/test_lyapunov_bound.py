@@ -23,12 +23,7 @@ BOUNDS = {
 }
 
 
-@given(
-    st.floats(0.1, 1000.0),
-    st.floats(1e-5, 0.1),
-    st.floats(0.0, 1e6),
-    st.floats(0.0, 1e6),
-)
+@given(st.floats(0.1, 1000.0), st.floats(1e-5, 0.1), st.floats(0.0, 1e6), st.floats(0.0, 1e6))
 def test_bound_solves_its_differential_equation(rate, period, start, growth):
     p = lyapunov_bound.design(rate, period)
     got = lyapunov_bound.advance(p, start, growth, True)

@@ -9,7 +9,7 @@ import pytest
 import scipy.signal
 from changed import controller
 
-from valve_control.control.laws import dcarc, dcarc_design, magnet
+from valve_control.control.laws import dcarc, dcarc_design
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import stability
 from valve_control.control.simulation import delivery
@@ -81,20 +81,6 @@ def test_hysteresis_and_unequal_gains_are_learned():
     assert s.magnet.weights.positive == pytest.approx(1.0 / 1.15 - 1.0, rel=0.2)
 
 
-def test_the_force_is_the_voltage_behind_the_coil():
-    """Trapezoidal rule against the exact response to a sine."""
-    p = law(dcarc__coil=COIL).magnet
-    s = magnet.State(0.0, 0.0, 0.0, 0.0, magnet.NONE, magnet.NONE, magnet.NONE)
-    w, found = 2.0 * math.pi * 10.0, []
-    for k in range(400):
-        force, rate = magnet.forced(p, s, math.sin(w * k * PERIOD), PERIOD)
-        s = s._replace(force=force, rate=rate)
-        found.append(force)
-    k = np.arange(400)
-    steady = np.imag(np.exp(1j * w * k * PERIOD) / (1.0 + 1j * w * COIL))
-    assert np.allclose(found[100:], steady[100:], atol=2e-4)
-
-
 def delayed(p, delay, sensor=0.0, samples=1500):
     """Rms error [V] of a nominal valve whose voltage and reading are late, exact between the samples."""
     fine = 20
@@ -138,7 +124,7 @@ def test_the_loop_with_a_dead_time_has_the_poles_of_filter_and_regulator(delay):
     p = law(dcarc__actuator_delay=delay, dcarc__coil=COIL)
     free = law(dcarc__coil=COIL)
     poles = [
-        abs(stability._pole(dcarc.LAW, one, stability._believed(dcarc.LAW, one, 1.0))) for one in (p, free)
+        abs(stability.pole_of(dcarc.LAW, one, stability.believed(dcarc.LAW, one, 1.0))) for one in (p, free)
     ]
     assert poles[0] == pytest.approx(poles[1], abs=1e-5)
     assert stability.warning(dcarc.LAW, p) == ""

@@ -72,11 +72,6 @@ def machine_running(folder, machine, **arguments):
         yield children
 
 
-def at(point):
-    """Time of a point of a trajectory [ns]."""
-    return point.time_from_start.sec * 10**9 + point.time_from_start.nanosec
-
-
 class Axis:
     """Listens to an axis and tells it what to do."""
 

@@ -122,21 +122,3 @@ def test_a_plant_of_another_package_runs_in_the_loop(monkeypatch):
         np.zeros((0, len(open_loop.LAW.module.Terms._fields))), compiled=False,
     )  # fmt: skip
     assert signals[:, 0] == pytest.approx(1.0 - 0.9 ** np.arange(50))
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"name": "No Word"}, "its name is 'No Word'; it must be one word in lower case"),
-        ({"parameters": solenoid_valve.PARAMETERS}, "its parameter solenoid.u_min must begin with 'lag.'"),
-        (
-            {"linear": lambda params: params},
-            "its linear gives test_plants.Params; it must be valve_control.control.plant.valve.Params",
-        ),
-        ({"module": types.ModuleType("empty")}, "its first step fails: AttributeError"),
-    ],
-)
-def test_a_plant_that_is_none_is_refused_in_one_sentence(changes, said):
-    with pytest.raises(plugins.PluginError) as refused:
-        try_out(plugins.check(lag_plant(**changes), Plant), registry.TRIED)
-    assert said in str(refused.value) and "\n" not in str(refused.value)

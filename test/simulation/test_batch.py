@@ -79,25 +79,6 @@ def test_every_valve_has_the_bits_and_indices_of_its_offline_run(controller):
     assert np.any(results.saturated > 0.0) or controller == "open_loop"
 
 
-@pytest.mark.parametrize(("presliding", "model"), [(0.0, "second_order"), (0.0278, "fourth_order")])
-def test_friction_and_delay_have_the_bits_of_offline_runs(presliding, model):
-    """Every delay beside every other one, whole periods, parts of one, and more of them than samples."""
-    base = {**REAL, "valve": model, "friction.presliding": presliding, "drift.stiffness": 0.05}
-    delays = [0.0, 1e-9, 0.00024, 0.001, 0.00137, 0.002, 0.0075, 0.3, 1.0]
-    controller = updated(CONTROLLER, defaults(CONTROLLER), {"controller": "arc"})
-    plants = [updated(VALVE, defaults(VALVE), {**base, "lvdt.delay": delay, "seed": 7}) for delay in delays]
-    command = 2.0 * np.sin(np.arange(900) * 0.03)
-    traces = np.zeros((len(delays), len(command), 3))
-    rows = batch.records([build.valve_params(plant) for plant in plants])
-    batch.simulate(
-        batch.Batch("arc", build.law_params(controller), rows, [7] * len(delays), command), 2, traces
-    )
-    for plant, found in zip(plants, traces, strict=True):
-        run = offline.simulate(controller, plant, command)
-        for i, signal in enumerate((run.position, run.measurement, run.voltage)):
-            assert np.array_equal(found[:, i], signal), plant["lvdt.delay"]
-
-
 def test_neither_threads_nor_neighbours_change_a_valve():
     _, many = several("oarc", 700)
     one, three = batch.simulate(many, 1), batch.simulate(many, 3)

@@ -405,15 +405,8 @@ def stages(p: Params, s: State, step: float, spool: float, spool_after: float, h
 
 def scaled(s: State, factor: float) -> State:
     """``factor``·s."""
-    return State(
-        factor * s.x,
-        factor * s.v,
-        factor * s.a,
-        factor * s.b,
-        factor * s.supply,
-        factor * s.relief,
-        factor * s.bristle,
-    )
+    x, v, a, b, supply, relief, z = s
+    return State(factor * x, factor * v, factor * a, factor * b, factor * supply, factor * relief, factor * z)
 
 
 def combined(s: State, k: State, factor: float) -> State:

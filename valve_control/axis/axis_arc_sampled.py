@@ -8,7 +8,6 @@ pressure is differentiated. docs/explanation/axis_arc.md derives it.
 """
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple
 
 from valve_control.axis import axis, axis_arc
@@ -212,26 +211,11 @@ def model_of(plant: axis.Params, supply: float) -> Model:
     )  # fmt: skip
 
 
-def own_frequency(m: Model, bulk: float, mobility: float) -> float:
-    """ω_h [1/s] in the middle of the stroke, of ``bulk`` modulus [Pa] and ``mobility`` [1/kg]."""
-    return math.sqrt(bulk * mobility * axis_arc.stiffness(m, 0.5 * m.stroke))
-
-
 def _known(plant: axis.Params, mass: float, bulk: float) -> Theta:
     """Estimates of the axis ``plant`` with another ``mass`` [kg] and ``bulk`` modulus [Pa]."""
     c, load = plant.cylinder, plant.load
     resting = load.force - plant.supply.tank * (c.area_a - c.area_b)
     return Theta(1.0 / mass, load.damping / mass, load.coulomb / mass, resting / mass, bulk)
-
-
-def _refuse_fast(rates: Mapping[str, float], period: float) -> None:
-    """Raise ParameterError for one of the ``rates`` [1/s], by name, that ``period`` [s] is too long for."""
-    for name, rate in rates.items():
-        if rate * period > FASTEST:
-            raise ParameterError(
-                f"{name} is {rate:.4g} 1/s; with a sample period of {period:g} s it must be at most "
-                f"{FASTEST / period:g} 1/s"
-            )
 
 
 def build(values: Values, plant: axis.Params, supply: float) -> Params:
@@ -252,10 +236,16 @@ def build(values: Values, plant: axis.Params, supply: float) -> Params:
     mass = of("mass") or plant.load.mass
     begin = _known(plant, mass, of("bulk_modulus") or plant.bulk_modulus)
     model = model_of(plant, supply)
-    coupling = of("coupling") or own_frequency(model, begin.bulk, begin.mobility)
+    squared = begin.bulk * begin.mobility * axis_arc.stiffness(model, 0.5 * model.stroke)
+    coupling = of("coupling") or math.sqrt(squared)  # ω_h in the middle of the stroke
     rates = {"k1": of("k1"), "k2": of("k2"), "k3": of("k3"), "coupling": coupling, "observer": of("observer")}
     own = {f"{NAME}.{name}": rate for name, rate in rates.items()}
-    _refuse_fast({**own, "load.damping over the mass": begin.damping}, period)
+    for name, rate in {**own, "load.damping over the mass": begin.damping}.items():
+        if rate * period > FASTEST:
+            raise ParameterError(
+                f"{name} is {rate:.4g} 1/s; with a sample period of {period:g} s it must be at most "
+                f"{FASTEST / period:g} 1/s"
+            )
     share = of("uncertainty")
     force = of("force_range") / mass
     low = Theta(*(value * (1.0 - share) for value in begin))._replace(force=begin.force - force)

@@ -93,11 +93,6 @@ def design(values: Values) -> tuple[Params, path.Range]:
     return Params(level, made, watch, number(values, "error_limit"), number(values, "sample_period")), able
 
 
-def needs_pressures(p: Params) -> bool:
-    """Whether the upper level works with the pressures."""
-    return bool(p.level.NEEDS_PRESSURES)
-
-
 def at_rest(p: Params) -> State:
     """Before the first reading."""
     return State(p.level.initial(p.upper), p.level.AT_REST)
@@ -220,7 +215,7 @@ def sample(p: Params, s: State, reading: Reading, time: int, lost: int | None = 
     elapsed = (time - s.time) * NANO if s.samples > 0 else p.period
     if not elapsed > 0.0:
         elapsed = p.period
-    both = (reading.pressure_a, reading.pressure_b) if needs_pressures(p) else None
+    both = (reading.pressure_a, reading.pressure_b) if p.level.NEEDS_PRESSURES else None
     if s.goal is None:
         s = found(p, s, reading.position)
     periods = passed(p, s.watch.age + elapsed)  # since the goal last moved

@@ -102,7 +102,7 @@ class AxisController(Managed):
         self._lockstep = values["lockstep"] is True
         self._trajectory = values["message"] == "trajectory"
         self._timeout = number(values, "sensor.timeout")
-        self._needs_pressures = axis_supervisor.needs_pressures(built[0])
+        self._needs_pressures = self._params.level.NEEDS_PRESSURES is True
         if first:
             self._state = axis_supervisor.at_rest(self._params)
 
@@ -118,8 +118,7 @@ class AxisController(Managed):
         self._wanted = NumberSubscription(self, "goal_position", SAMPLES)
         self._trajectories = PolledSubscription(self, JointTrajectory, "joint_trajectory", SAMPLES)
         self._rooms = {
-            "a": PolledSubscription(self, FluidPressure, "pressure_a", qos),
-            "b": PolledSubscription(self, FluidPressure, "pressure_b", qos),
+            room: PolledSubscription(self, FluidPressure, f"pressure_{room}", qos) for room in ("a", "b")
         }
 
     def close(self) -> None:

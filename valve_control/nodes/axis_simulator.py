@@ -48,8 +48,7 @@ class AxisSimulator(Worker):
         self._shown: float | None = None  # m  position that was published last
         self._follow = compile_function(machine.followed)
         self._joints = self.create_publisher(JointState, "joint_states", SAMPLES)
-        self._pressures_a = self.create_publisher(FluidPressure, "pressure_a", SAMPLES)
-        self._pressures_b = self.create_publisher(FluidPressure, "pressure_b", SAMPLES)
+        self._rooms = [self.create_publisher(FluidPressure, f"pressure_{room}", SAMPLES) for room in "ab"]
         self._joint, self._pressure = JointState(), FluidPressure()
         ParameterSet(self, AXIS, self._build, self._apply, alone=False)
 
@@ -111,10 +110,8 @@ class AxisSimulator(Worker):
         fault = word(self._values, "fault.pressure")
         if fault == "silent":
             return
-        for publisher, pressure in (
-            (self._pressures_a, reading.pressure_a),
-            (self._pressures_b, reading.pressure_b),
-        ):
+        pressures = (reading.pressure_a, reading.pressure_b)
+        for publisher, pressure in zip(self._rooms, pressures, strict=True):
             message = self._pressure
             self._stamp(message, nanoseconds)
             message.fluid_pressure = {"jump": pressure + HIGH, "not_finite": math.nan}.get(fault, pressure)

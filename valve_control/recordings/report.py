@@ -75,7 +75,7 @@ def _html(piece: Piece) -> str:
             return page.notes(piece.texts)
         case Markup():
             return piece
-    return page.paragraphs([piece])
+    return page.notes([piece], "text")
 
 
 def index_table(rows: list[tuple[str, str, Indices, str]]) -> Table:

@@ -43,9 +43,9 @@ def limit_cycle(
     """The limit cycle of at least ``amplitude`` [V] in ``voltage`` [V] under ``command`` [V], or None."""
     longest = np.zeros(4)
     if amplitude > 0.0:
-        p = oscillation.Params(amplitude, period)
-        made = compile_function(survey) if compiled else survey
-        made(p, np.ascontiguousarray(voltage), np.ascontiguousarray(command), longest)
+        step = compile_function(survey) if compiled else survey
+        rows = np.ascontiguousarray(voltage), np.ascontiguousarray(command)
+        step(oscillation.Params(amplitude, period), *rows, longest)
     return LimitCycle(*map(float, longest)) if longest[0] > 0.0 else None
 
 

@@ -108,14 +108,9 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     return f'<div class="scroll"><table><tr>{cells}</tr>{body}</table></div>'
 
 
-def paragraphs(texts: Sequence[str]) -> str:
-    """Sentences as HTML, one below the other."""
-    return "".join(f"<p>{html.escape(text)}</p>" for text in texts)
-
-
-def notes(texts: Sequence[str]) -> str:
-    """Sentences that are to be noticed as HTML, one below the other."""
-    return "".join(f'<p class="note">{html.escape(text)}</p>' for text in texts)
+def notes(texts: Sequence[str], kind: str = "note") -> str:
+    """Sentences as HTML, one below the other: a ``note`` is to be noticed, a ``text`` is not."""
+    return "".join(f'<p class="{kind}">{html.escape(text)}</p>' for text in texts)
 
 
 def page(title: str, sections: Mapping[str, str]) -> str:

@@ -102,11 +102,6 @@ def hold(p: Params, s: State, command: float, measurement: float, voltage: float
     return step(p, s, command, measurement, 0.0)[1]
 
 
-def no_reshaping(p: Params) -> bool:
-    """False: the command is followed as it comes."""
-    return False
-
-
 def steady_command(p: Params, start: Start) -> float:
     """Command [V] whose static response is the voltage of ``start``."""
     return start.voltage / p.static_gain

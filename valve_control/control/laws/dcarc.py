@@ -36,6 +36,10 @@ WEIGHTS = (
 CALM = 0.1  # s  after which a reference that has come to rest tells nothing more of the weights
 MEMORY = 0.2  # s  over which the mean squares of the disturbance are taken
 ALLOWED = 1.5  # of the disturbance over what is assumed, in mean squares
+FORM = (
+    *("model", "numerator", "denominator", "coil", "delay", "actuator_delay", "smoothing"),
+    *("hysteresis", "sides", "hum"),
+)
 NAMES = ("gain", "bristle", "bristle", "bristle", "standstill", "flow force", "offset", "damping", "inertia")
 
 
@@ -769,18 +773,7 @@ LAW = Law(
     model=model,
     sampled_model=sampled_model,
     known_valve=known_valve,
-    form=(
-        "dcarc.model",
-        "dcarc.numerator",
-        "dcarc.denominator",
-        "dcarc.coil",
-        "dcarc.delay",
-        "dcarc.actuator_delay",
-        "dcarc.smoothing",
-        "dcarc.hysteresis",
-        "dcarc.sides",
-        "dcarc.hum",
-    ),
+    form=tuple(f"dcarc.{name}" for name in FORM),
     dead_time="dcarc.delay",
     linear=without_adaptation,
     free=(

@@ -223,11 +223,6 @@ def model(p: Params) -> tuple[float, float, float]:
     return p.a1, p.a0, p.b0
 
 
-def reshapes(p: Params) -> bool:
-    """Whether the command is reshaped; the plain form follows it as it comes."""
-    return p.plain == 0.0
-
-
 def steady_command(p: Params, start: Start) -> float:
     """Command [V] under which the law goes on as at ``start``."""
     if p.plain > 0.0:
@@ -269,7 +264,7 @@ LAW = Law(
     parameters=PARAMETERS,
     build=build,
     model=model,
-    reshapes=reshapes,
+    reshapes=lambda params: params.plain == 0.0,  # the plain form follows the command as it comes
     steady_command=steady_command,
     form=("pid.form",),
     free=(

@@ -18,7 +18,7 @@ import numpy as np
 from valve_control.arrays import Complexes, Floats
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws.law import Law
-from valve_control.control.linear import friction_swing, linear_loop, many_states
+from valve_control.control.linear import friction_swing, linear_loop
 from valve_control.control.plant import registry
 
 LOWEST = 0.05  # Hz  of the frequencies looked at; the highest is half the sampling rate
@@ -38,6 +38,9 @@ class Margins(NamedTuple):
     sensitivity_db: Floats  # dB  peak of 1/(1 + L)
     response_db: Floats  # dB  peak of L/(1 + L)
     swing_v: Floats  # V   amplitude of the largest swing about rest that friction sustains, if by the loop
+
+
+PEAKS = ("sensitivity_db", "response_db", "swing_v")
 
 
 class Box(NamedTuple):
@@ -76,7 +79,7 @@ def _omega(period: float) -> Floats:
 
 def margins(law: Law, params: Any, box: Box) -> Margins:
     """Margins of ``law`` with ``params`` around each valve of ``box``."""
-    linear = linear_loop.linear_law(law, params, steps=many_states.stepped)
+    linear = linear_loop.linear_law(law, params, steps=linear_loop.stepped_side_by_side)
     radius = np.abs(linear_loop.dominant_poles(linear, box.valves))
     loop = -linear_loop.law_response(linear, box.z) * box.response
     rows = np.empty((len(loop), 6))
@@ -99,9 +102,8 @@ def _blame(swing: Floats, own: Floats) -> Floats:
 
 def worst(found: Margins) -> Margins:
     """The least of each margin and the largest of each peak over the valves, as arrays of one entry."""
-    highest = ("radius", "sensitivity_db", "response_db", "swing_v")
     return Margins._make(
-        np.array([np.max(values) if name in highest else np.min(values)])
+        np.array([np.max(values) if name in ("radius", *PEAKS) else np.min(values)])
         for name, values in found._asdict().items()
     )
 
@@ -114,15 +116,10 @@ def as_dict(found: Margins, i: int = 0) -> dict[str, float | None]:
 
 def _without_unstable(found: Margins) -> Margins:
     stable = found.radius < 1.0 + EDGE
-    peaks = {
-        name: np.where(stable, getattr(found, name), np.inf)
-        for name in ("sensitivity_db", "response_db", "swing_v")
+    rows = {
+        name: np.where(stable, row, np.inf if name in PEAKS else 0.0) for name, row in found._asdict().items()
     }
-    left = {
-        name: np.where(stable, getattr(found, name), 0.0)
-        for name in ("gain_db", "reduction_db", "phase_deg", "delay_s")
-    }
-    return found._replace(**peaks, **left)
+    return Margins(**{**rows, "radius": found.radius})
 
 
 def _sweep(loop: Complexes, omega: Floats, rows: Floats) -> None:

@@ -32,49 +32,36 @@ FLAT = 1e-9  # -  slope that is rounding
 STABLE = 1.0 + 1e-6  # largest modulus of a pole, with room for rounding
 
 
-def spectral_radius(law: Law, params: Any, theta: tuple[float, ...]) -> float:
-    """Largest modulus of the loop's poles, estimates frozen, on the model s² + a1·s + a0 with gain b0.
-
-    A value of 1 or more means that this law is unstable on its own design model at this sample period.
-
-    ``theta``: a1 [1/s], a0 [1/s²] and b0 [1/s²] of that model.
-    """
-    return abs(_pole(law, params, _simple(params, theta)))
-
-
-def _simple(params: Any, theta: tuple[float, ...]) -> LinearValves:
-    model = TransferFunction((theta[2],), (1.0, theta[0], theta[1]))
-    plant = valve.design(model, params.period, params.u_max, 1.0, valve.FREE, IDEAL)
-    return linear_loop.linear_valves([plant])
-
-
-def _believed(law: Law, params: Any, gain: float) -> LinearValves:
+def believed(law: Law, params: Any, gain: float) -> LinearValves:
     """The model that ``law`` believes in, with so many times its gain."""
     exact = law.sampled_model(params)
     if exact is not None:
         return linear_loop.undelayed(exact[0], gain * exact[1])
     assert law.model is not None
     a1, a0, b0 = law.model(params)
-    return _simple(params, (a1, a0, gain * b0))
+    model = TransferFunction((gain * b0,), (1.0, a1, a0))
+    return linear_loop.linear_valves(
+        [valve.design(model, params.period, params.u_max, 1.0, valve.FREE, IDEAL)]
+    )
 
 
-def _pole(law: Law, params: Any, valves: LinearValves) -> complex:
+def pole_of(law: Law, params: Any, valves: LinearValves) -> complex:
     linear = linear_loop.linear_law(law, params, frozen=True)
     return complex(linear_loop.dominant_poles(linear, valves)[0])
 
 
 def dominant_pole(law: Law, params: Any, plant: Any) -> complex:
     """The pole of largest modulus of the sampled loop around ``plant``, without its friction and noise."""
-    return _pole(law, params, linear_loop.linear_valves([plant]))
+    return pole_of(law, params, linear_loop.linear_valves([plant]))
 
 
 def warning(law: Law, params: Any) -> str:
     """One sentence if the sampled loop is unstable with b0 as assumed or 2 dB above it, else ""."""
     if law.model is None:
         return ""
-    believed = _believed(law, params, 1.0)
-    at_rest = abs(_pole(law, params, believed))
-    radius = max(at_rest, abs(_pole(law, params, _believed(law, params, GAIN_MARGIN))))
+    own = believed(law, params, 1.0)
+    at_rest = abs(pole_of(law, params, own))
+    radius = max(at_rest, abs(pole_of(law, params, believed(law, params, GAIN_MARGIN))))
     if radius < 1.0:
         return ""
     told = (
@@ -83,7 +70,7 @@ def warning(law: Law, params: Any) -> str:
     )
     if at_rest < 1.0:
         return f"{told}; {law.remedy}"
-    return f"{told}; {_advice(law, params, believed, law.remedy)}"
+    return f"{told}; {_advice(law, params, own, law.remedy)}"
 
 
 def coil_warning(law: Law, params: Any, values: Values) -> str:
@@ -99,15 +86,14 @@ def coil_warning(law: Law, params: Any, values: Values) -> str:
         if exact is None:
             continue
         valves, gained = (linear_loop.undelayed(exact[0], gain * exact[1]) for gain in (1.0, GAIN_MARGIN))
-        at_rest = _pole(law, params, valves)
-        pole = max(at_rest, _pole(law, params, gained), key=abs)
+        at_rest = pole_of(law, params, valves)
+        pole = max(at_rest, pole_of(law, params, gained), key=abs)
         if abs(pole) >= 1.0:
-            frequency = abs(cmath.phase(pole)) / (2.0 * math.pi * params.period)
             remedy = law.remedy if abs(at_rest) < 1.0 else _advice(law, params, valves, "lower the gains")
             return (
                 f"{law.name} knows no coil, and on the model of {other.name}, which has one, it is unstable "
-                f"with these gains, or within 2 dB of it (largest pole of the sampled loop: {abs(pole):.3f}, "
-                f"at {frequency:.3g} Hz); {remedy}, or use {other.name}"
+                f"with these gains, or within 2 dB of it ({_largest(pole, params)}); {remedy}, or use "
+                f"{other.name}"
             )
     return ""
 
@@ -145,15 +131,18 @@ def valve_warning(law: Law, params: Any, plant: Any, values: Values) -> str:
     if not law.feedback or registry.linear(plant).lvdt.delay > MOST_DELAY:
         return ""
     several = [linear_loop.linear_valves([one]) for one in behind_curve(values, plant)]
-    pole, valves = max(((_pole(law, params, one), one) for one in several), key=lambda found: abs(found[0]))
+    pole, valves = max(((pole_of(law, params, one), one) for one in several), key=lambda found: abs(found[0]))
     if abs(pole) <= STABLE:
         return ""
-    frequency = abs(cmath.phase(pole)) / (2.0 * math.pi * params.period)
     return (
-        f"{law.name} with these gains is unstable on this valve (largest pole of the sampled loop: "
-        f"{abs(pole):.3f}, at {frequency:.3g} Hz); {_advice(law, params, valves, 'lower the gains')}, or "
-        "give the law this valve's parameters"
+        f"{law.name} with these gains is unstable on this valve ({_largest(pole, params)}); "
+        f"{_advice(law, params, valves, 'lower the gains')}, or give the law this valve's parameters"
     )
+
+
+def _largest(pole: complex, params: Any) -> str:
+    frequency = abs(cmath.phase(pole)) / (2.0 * math.pi * params.period)
+    return f"largest pole of the sampled loop: {abs(pole):.3f}, at {frequency:.3g} Hz"
 
 
 def stable_gains(law: Law, params: Any, valves: LinearValves) -> tuple[int | None, int | None]:

@@ -27,6 +27,7 @@ from valve_control.control.laws.places import law_initial
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import linear_loop
+from valve_control.control.linear.linear_loop import load, store
 from valve_control.control.plant import registry, sensor, valve
 from valve_control.control.plant.plant import Plant
 from valve_control.control.simulation import measures, offline
@@ -89,16 +90,6 @@ class Batch(NamedTuple):
     seeds: Sequence[int] | npt.NDArray[np.int64]  # of the LVDTs' noise
     commands: Floats
     led: Floats | None = None  # V, of the same shape: with the lead of ``command_lead``; None: ``commands``
-
-
-def load(like: Any, block: Floats, lane: int) -> Any:
-    """Placeholder for ``simd_layout.load``."""
-    raise NotImplementedError
-
-
-def store(value: Any, block: Floats, lane: int) -> None:
-    """Placeholder for ``simd_layout.store``."""
-    raise NotImplementedError
 
 
 def fill(generators: Any, noise: Floats) -> None:
@@ -209,23 +200,11 @@ def _compiled(law: types.ModuleType) -> Callable[..., None]:
 
     access = {"load": simd_layout.load, "store": simd_layout.store}
     start = compile_function(begin, {**access, "law_initial": compile_function(law.initial)})
-    parts = {
-        "next_command": compile_function(closed_loop.command_given),
-        "read": compile_function(read_delayed),
-        "law_step": compile_function(law.step),
-        "measured": compile_function(counted),
-    }
-    one = compile_function(closed_loop.sample, parts)
-    return compile_function(
-        run_block,
-        {
-            **access,
-            "begin": start,
-            "fill": compile_function(noise.fill),
-            "sample": compile_function(sample, {"one_sample": one}),
-        },
-        nogil=True,
-    )
+    places = (closed_loop.command_given, read_delayed, law.step, counted)
+    parts = dict(zip(closed_loop.PLACES, map(compile_function, places), strict=True))
+    one = compile_function(sample, {"one_sample": compile_function(closed_loop.sample, parts)})
+    inner = {**access, "begin": start, "fill": compile_function(noise.fill), "sample": one}
+    return compile_function(run_block, inner, nogil=True)
 
 
 @cache
@@ -263,15 +242,16 @@ def _rows(name: str, params: Records | tuple[Any, ...], like: Any, count: int) -
     return np.broadcast_to(flat, (count, flat.shape[1]))
 
 
+def _is(params: Any, like: tuple[Any, ...]) -> bool:
+    """Whether ``params`` are of the kind of ``like``, or rows of it."""
+    rows = isinstance(params, np.ndarray) and params.dtype == _dtype_of(like)
+    return rows or isinstance(params, type(like))
+
+
 def _plant(params: Any) -> Plant:
-    """The plant whose Params, or rows of them, ``params`` are. Raises ValueError."""
-    for plant in registry.PLANTS.values():
-        kind = plant.module.Params
-        if isinstance(params, kind):
-            return plant
-        if isinstance(params, np.ndarray) and params.dtype == _dtype_of(template(kind)):
-            return plant
-    return registry.PLANTS["linear"]
+    """The plant whose Params, or rows of them, ``params`` are; the linear one if they are none."""
+    plants = (plant for plant in registry.PLANTS.values() if _is(params, template(plant.module.Params)))
+    return next(plants, registry.PLANTS["linear"])
 
 
 def _law(batch: Batch) -> tuple[types.ModuleType, Any]:
@@ -279,11 +259,7 @@ def _law(batch: Batch) -> tuple[types.ModuleType, Any]:
     module, params = LAWS[batch.controller].module, batch.law_params
     alone, curve = template(LAWS[batch.controller].module.Params), template(linearisation.Curve)
     wide = linearisation.Params(alone, curve, curve, 0.0, 0.0)
-    if isinstance(params, linearisation.Params) or (
-        isinstance(params, np.ndarray) and params.dtype == _dtype_of(wide)
-    ):
-        return linearisation.around(module), wide
-    return module, alone
+    return (linearisation.around(module), wide) if _is(params, wide) else (module, alone)
 
 
 class Prepared(NamedTuple):

@@ -4,7 +4,7 @@
 
 Valve number i is point i of a scrambled Sobol sequence and has its own seed, so that it is the same in a
 study of any length and can be run again alone. Results are stored in chunks, each a file that is either whole
-or absent: a study that was stopped goes on where it was, unless the package has changed since.
+or made again: a study that was stopped goes on where it was, unless the package has changed since.
 """
 
 import hashlib
@@ -251,7 +251,8 @@ def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> S
     folder.mkdir(parents=True, exist_ok=True)
     digest, chunk = _digest(study), chunk_of(study)
     paths = {first: folder / f"valves_{first:08d}.npz" for first in range(0, study.valves, chunk)}
-    parts = {first: _read(path, study, digest, chunk) for first, path in paths.items() if path.exists()}
+    stored = {first: _read(path, digest) for first, path in paths.items() if path.exists()}
+    parts = {first: part for first, part in stored.items() if part is not None}
     left = sum(min(chunk, study.valves - first) for first in paths if first not in parts)
     told(study.valves - left)
     for first in sorted(paths.keys() - parts.keys()):
@@ -268,28 +269,19 @@ def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> S
     return StudyResult(points, period, _results(rows))
 
 
-def _read(path: Path, study: Study, digest: str, chunk: int) -> tuple[Floats, ...]:
-    """The PARTS of one file of a ``study``, whose ``digest`` it must have. Raises ParameterError."""
-    shapes = ((chunk, len(study.box)), (chunk,), (chunk, len(measures.Results._fields)))
+def _read(path: Path, digest: str) -> tuple[Floats, ...] | None:
+    """The PARTS of one file of a study with this ``digest``, None if it is damaged. Raises ParameterError."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             parts, other = tuple(stored[name] for name in PARTS), str(stored["study"])
-        if other == digest and tuple(part.shape for part in parts) != shapes:
-            raise ValueError("shape")
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise ParameterError(f"{path} is damaged; delete it, and the same command makes it again") from error
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile):
+        return None
     if other != digest:
         raise ParameterError(
             f"{path.parent} holds a study with other parameters, or of another version of this package; "
             "choose another folder"
         )
     return parts
-
-
-def worst(found: StudyResult, index: str, count: int) -> list[int]:
-    """Numbers of the worst valves by ``index``; those that did not stay finite come first."""
-    values = np.where(found.results.finite, getattr(found.results, index), np.inf)
-    return [int(i) for i in np.argsort(-values, kind="stable")[:count]]
 
 
 def summary(found: StudyResult, limit: float = LIMIT, count: int = 10) -> dict[str, Any]:
@@ -301,6 +293,10 @@ def summary(found: StudyResult, limit: float = LIMIT, count: int = 10) -> dict[s
         values = np.percentile(getattr(found.results, name)[finite], PERCENTS).tolist()
         return dict(zip(map(str, PERCENTS), values, strict=True))
 
+    def worst(name: str) -> list[int]:  # those that did not stay finite come first
+        values = np.where(finite, getattr(found.results, name), np.inf)
+        return [int(i) for i in np.argsort(-values, kind="stable")[:count]]
+
     by_period = {f"{p:g}": float(np.mean(unstable[found.period == p])) for p in np.unique(found.period)}
     return {
         "valves": len(finite),
@@ -308,5 +304,5 @@ def summary(found: StudyResult, limit: float = LIMIT, count: int = 10) -> dict[s
         "unstable": float(np.mean(unstable)),
         "unstable_by_period": by_period,
         "percentiles": {name: percentiles(name) for name in names},
-        "worst": {name: worst(found, name, count) for name in ("e_rms", "e_M", "e_F")},
+        "worst": {name: worst(name) for name in ("e_rms", "e_M", "e_F")},
     }
