@@ -34,9 +34,9 @@ NUMBERS = {
     "identify": "sample-period duration settle",
     "study": "sample-period duration limit",
     "tune": "max-chatter gain-margin phase-margin delay-margin peak saturation",
-    "compensator": "bandwidth sample-period u-max amplitude",
+    "compensator": "bandwidth sample-period u-max",
 }
-ENDLESS = ("limit", "amplitude", "max-chatter")  # which may be as large as one likes
+ENDLESS = ("limit", "max-chatter")  # which may be as large as one likes
 COUNTS = {
     "simulate": "seed",
     "identify": "seed order zeros",

@@ -32,9 +32,8 @@ def test_kept_zeros_and_order():
 
 def test_warnings():
     assert cancellation.make(SECOND_ORDER, 20.0).warnings == ()
-    light = cancellation.make(FOURTH_ORDER, 20.0, amplitude=5.0).warnings
+    light = cancellation.make(FOURTH_ORDER, 20.0).warnings
     assert "poles at 32.33 Hz have a damping of 0.29" in light[0]
-    assert any("a step by 5 V saturates" in warning for warning in light)
     loud = cancellation.make(SECOND_ORDER, 100.0).warnings
     assert any("noise of the command" in warning for warning in loud)
     right = TransferFunction((-10.0, 2000.0), (1.0, 30.0, 900.0, 5000.0))

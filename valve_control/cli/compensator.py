@@ -12,7 +12,6 @@ from valve_control.parameter import ParameterError, Values, lookup
 
 if TYPE_CHECKING:
     from valve_control.control.plant.models import TransferFunction
-    from valve_control.design.identification.bode import Corners
     from valve_control.design.identification.cancellation import Compensator
 
 
@@ -48,9 +47,6 @@ def add_commands(commands: Any) -> None:
         "--sample-period", type=float, default=0.001, metavar="S", help="sample period [s] (0.001)"
     )
     group.add_argument("--u-max", type=float, default=10.0, metavar="V", help="limit of the voltage [V] (10)")
-    group.add_argument(
-        "--amplitude", type=float, metavar="V", help="amplitude of the command, to predict saturation"
-    )
     output_group(options, output="ROS 2 parameter file for the controller", figure="Bode plot as PNG or SVG")
     options.set_defaults(run=_compensator)
 
@@ -67,8 +63,6 @@ def _compensator(arguments: argparse.Namespace) -> None:
     }
     for name, value in numbers.items():
         lookup(NODES["controller"], name).check(value)
-    if arguments.amplitude is not None and not 0.0 < arguments.amplitude < float("inf"):
-        raise ParameterError(f"--amplitude is {arguments.amplitude:g} V; it must be positive")
     made = cancellation.make(
         _model(arguments),
         arguments.bandwidth,
@@ -76,13 +70,18 @@ def _compensator(arguments: argparse.Namespace) -> None:
         arguments.order,
         arguments.sample_period,
         arguments.u_max,
-        arguments.amplitude,
     )
-    parameters = _parameters(made)
     contents: list[tuple[str, str | bytes]] = []
     if arguments.output is not None:
+        parameters = _parameters(arguments, made)
         result.check_parameters(parameters)
-        contents.append((arguments.output, result.parameter_file(parameters, _comments(made))))
+        comments = [
+            f"Pole-zero compensator for {made.bandwidth:g} Hz:",
+            f"  ({result.polynomial(made.transfer_function.numerator)})",
+            f"  / ({result.polynomial(made.transfer_function.denominator)})",
+            *(f"warning: {warning}" for warning in made.warnings),
+        ]
+        contents.append((arguments.output, result.parameter_file(parameters, comments)))
     if arguments.figure is not None:
         contents.append((arguments.figure, cancellation.bode_figure(made, arguments.figure)))
     if arguments.json != "-":
@@ -116,52 +115,34 @@ def _model(arguments: argparse.Namespace) -> "TransferFunction":
     return MODELS[arguments.model or "fourth_order"]
 
 
-def _parameters(made: "Compensator") -> dict[str, Values]:
+def _parameters(arguments: argparse.Namespace, made: "Compensator") -> dict[str, Values]:
     from valve_control.control.plant.models import MODELS
-    from valve_control.design.identification.result import with_period
+    from valve_control.design.identification.result import model_dict, with_period
 
     named = next((name for name, model in MODELS.items() if model == made.model), None)
     values: Values = {
         "controller": "compensator",
         "compensator.design": "designed",
         "compensator.model": named or "custom",
-        "compensator.bandwidth": float(made.bandwidth),
-        "compensator.order": made.order,
-        "compensator.cancel_zeros": made.cancel_zeros,
+        "compensator.bandwidth": arguments.bandwidth,
+        "compensator.order": arguments.order,
+        "compensator.cancel_zeros": not arguments.keep_zeros,
     }
     if named is None:
-        values["compensator.numerator"] = [float(c) for c in made.model.numerator]
-        values["compensator.denominator"] = [float(c) for c in made.model.denominator]
-    if made.sections.u_max != 10.0:
-        values["u_max"] = made.sections.u_max
+        values |= {f"compensator.{part}": list(map(float, c)) for part, c in model_dict(made.model).items()}
+    if arguments.u_max != 10.0:
+        values["u_max"] = arguments.u_max
     return with_period({"controller": values}, made.period)
-
-
-def _comments(made: "Compensator") -> list[str]:
-    from valve_control.design.identification.result import polynomial
-
-    return [
-        f"Pole-zero compensator for {made.bandwidth:g} Hz:",
-        f"  ({polynomial(made.transfer_function.numerator)})",
-        f"  / ({polynomial(made.transfer_function.denominator)})",
-        *(f"warning: {warning}" for warning in made.warnings),
-    ]
-
-
-def _corners(found: "Corners") -> str:
-    from valve_control.design.identification.result import hertz
-
-    return f"-3 dB at {hertz(found.minus_3db)}, -90° at {hertz(found.minus_90)}"
 
 
 def _text(made: "Compensator") -> str:
     from valve_control.design.identification import bode
-    from valve_control.design.identification.result import polynomial, roots_text
+    from valve_control.design.identification.result import corners_text, model_text, polynomial, roots_text
 
     c = made.transfer_function
     return "\n".join(
         [
-            f"valve: ({polynomial(made.model.numerator)}) / ({polynomial(made.model.denominator)})",
+            f"valve: {model_text(made.model)}",
             f"  poles {roots_text(bode.roots(made.model.denominator))}; "
             f"zeros {roots_text(bode.roots(made.model.numerator))}",
             f"compensator: ({polynomial(c.numerator)})",
@@ -169,36 +150,25 @@ def _text(made: "Compensator") -> str:
             f"  poles {roots_text(bode.roots(c.denominator))}",
             f"  static gain {c.static_gain:.5g} V/V, largest {made.largest_gain:.4g} V/V at "
             f"{made.largest_at:.4g} Hz; largest step without saturation {made.largest_step:.3g} V",
-            f"valve alone:            {_corners(made.valve)}",
-            f"with the compensator:   {_corners(made.compensated)}",
-            f"sampled every {1e3 * made.period:g} ms:     {_corners(made.sampled)}",
+            f"valve alone:            {corners_text(made.valve)}",
+            f"with the compensator:   {corners_text(made.compensated)}",
+            f"sampled every {1e3 * made.period:g} ms:     {corners_text(made.sampled)}",
         ]
     )
 
 
 def _dict(made: "Compensator") -> dict[str, Any]:
-    from valve_control.design.identification import bode
-
-    c = made.transfer_function
-
-    def corners(found: "Corners") -> dict[str, float | None]:
-        return {"minus_3db_hz": found.minus_3db, "minus_90_hz": found.minus_90}
+    from valve_control.design.identification import bode, result
 
     return {
-        "model": {"numerator": list(made.model.numerator), "denominator": list(made.model.denominator)},
-        "bandwidth_hz": made.bandwidth,
-        "cancel_zeros": made.cancel_zeros,
+        "model": result.model_dict(made.model),
         "sample_period": made.period,
-        "numerator": list(c.numerator),
-        "denominator": list(c.denominator),
-        "poles": [root._asdict() for root in bode.roots(c.denominator)],
-        "static_gain": c.static_gain,
+        **result.model_dict(made.transfer_function),
+        "poles": [root._asdict() for root in bode.roots(made.transfer_function.denominator)],
+        "static_gain": made.transfer_function.static_gain,
         "largest_gain": made.largest_gain,
         "largest_gain_hz": made.largest_at,
         "largest_step": made.largest_step,
-        "valve": corners(made.valve),
-        "compensated": corners(made.compensated),
-        "sampled": corners(made.sampled),
-        "sections": [list(s) for s in (made.sections.first, made.sections.second, made.sections.third)],
+        **{name: result.corners_dict(getattr(made, name)) for name in ("valve", "compensated", "sampled")},
         "warnings": list(made.warnings),
     }

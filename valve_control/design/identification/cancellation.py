@@ -29,8 +29,6 @@ class Compensator(NamedTuple):
     sections: biquads.Params
     period: float  # s
     bandwidth: float  # Hz, wanted
-    cancel_zeros: bool
-    order: int  # poles of the target, 0: chosen
     valve: Corners
     compensated: Corners
     sampled: Corners  # with hold and sampling
@@ -47,11 +45,10 @@ def make(
     order: int = 0,
     period: float = 0.001,
     u_max: float = 10.0,
-    amplitude: float | None = None,
 ) -> Compensator:
     """Design a compensator that gives ``model`` the ``bandwidth`` [Hz], and check it at ``period`` [s].
 
-    ``amplitude`` [V] of the command, for which saturation is looked at. Raises ParameterError.
+    Raises ParameterError.
     """
     try:
         check(model)
@@ -59,36 +56,30 @@ def make(
         sections = design.compensator_params(transfer_function, period, u_max)
     except design.DesignError as error:
         raise ParameterError(str(error)) from error
-    nyquist = 0.5 / period
     if bandwidth >= FAITHFUL / period:
         raise ParameterError(
-            f"a bandwidth of {bandwidth:g} Hz is too near to Nyquist's frequency, {nyquist:g} Hz; it must be "
-            f"below {FAITHFUL / period:g} Hz"
+            f"a bandwidth of {bandwidth:g} Hz is too near to Nyquist's frequency, {0.5 / period:g} Hz; it "
+            f"must be below {FAITHFUL / period:g} Hz"
         )
-    grid = bode.GRID[np.less(bode.GRID, 0.999 * nyquist)]
-    gain = np.abs(bode.sections_response(sections, grid, period))
-    loudest = int(np.argmax(gain))
+    valve, alone = (bode.response(one, bode.GRID) for one in (model, transfer_function))
+    f = bode.GRID[np.less(bode.GRID, 0.4995 / period)]
+    sampled = bode.sections_response(sections, f, period)
+    loudest = int(np.argmax(np.abs(sampled)))
     designed = Compensator(
         model=model,
         transfer_function=transfer_function,
         sections=sections,
         period=period,
         bandwidth=bandwidth,
-        cancel_zeros=cancel_zeros,
-        order=order,
-        valve=bode.model_corners(model),
-        compensated=bode.corners(
-            bode.GRID, bode.response(model, bode.GRID) * bode.response(transfer_function, bode.GRID)
-        ),
-        sampled=bode.corners(
-            grid, bode.held_response(model, grid, period) * bode.sections_response(sections, grid, period)
-        ),
-        largest_gain=float(gain[loudest]),
-        largest_at=float(grid[loudest]),
+        valve=bode.corners(bode.GRID, valve),
+        compensated=bode.corners(bode.GRID, valve * alone),
+        sampled=bode.corners(f, bode.held_response(model, f, period) * sampled),
+        largest_gain=float(np.abs(sampled[loudest])),
+        largest_at=float(f[loudest]),
         largest_step=u_max / bode.step_peak(sections, min(20_000, round(RESPONSE_TIME / period))),
         warnings=(),
     )
-    return designed._replace(warnings=tuple(_warnings(designed, amplitude)))
+    return designed._replace(warnings=tuple(_warnings(designed, cancel_zeros)))
 
 
 def check(model: TransferFunction) -> None:
@@ -107,27 +98,27 @@ def check(model: TransferFunction) -> None:
         raise design.DesignError("the model has coefficients of too different sizes for a valve")
 
 
-def _warnings(designed: Compensator, amplitude: float | None) -> list[str]:
+def _warnings(designed: Compensator, cancel_zeros: bool) -> list[str]:
     warnings = []
-    zeros = bode.roots(designed.model.numerator) if designed.cancel_zeros else []
-    cancelled = [("poles", root) for root in bode.roots(designed.model.denominator)]
-    cancelled += [("zeros", root) for root in zeros if root.damping > 0.0]
-    for part, root in cancelled:
-        if root.pair and root.damping < LIGHT:
-            warnings.append(
-                f"the cancelled {part} at {root.frequency:.2f} Hz have a damping of {root.damping:.2f}: if "
-                f"the valve's lie 10 % off, the response is wrong by up to {mismatch(root):.1f} dB there"
-            )
+    zeros = bode.roots(designed.model.numerator) if cancel_zeros else []
+    poles = bode.roots(designed.model.denominator)
+    for part, roots in (("poles", poles), ("zeros", [root for root in zeros if root.damping > 0.0])):
+        warnings += [
+            f"the cancelled {part} at {root.frequency:.2f} Hz have a damping of {root.damping:.2f}: if the "
+            f"valve's lie 10 % off, the response is wrong by up to {mismatch(root):.1f} dB there"
+            for root in roots
+            if root.pair and root.damping < LIGHT
+        ]
     warnings += [
         f"the zero at {root.frequency:.2f} Hz lies to the right and stays in the response"
         for root in zeros
         if root.damping <= 0.0
     ]
-    static = abs(designed.transfer_function.static_gain)
-    if designed.largest_gain > LOUD * static:
+    loud = designed.largest_gain / abs(designed.transfer_function.static_gain)
+    if loud > LOUD:
         warnings.append(
             f"noise of the command comes out {designed.largest_gain:.3g} times larger at "
-            f"{designed.largest_at:.4g} Hz ({designed.largest_gain / static:.3g} times the static gain)"
+            f"{designed.largest_at:.4g} Hz ({loud:.3g} times the static gain)"
         )
     reached, sampled = designed.compensated.minus_3db, designed.sampled.minus_3db
     for frequency, also, why in (
@@ -137,10 +128,6 @@ def _warnings(designed: Compensator, amplitude: float | None) -> list[str]:
         if not _near(frequency, designed.bandwidth) and not _near(frequency, also):
             there = "nowhere" if frequency is None else f"at {frequency:.2f} Hz"
             warnings.append(f"-3 dB comes {there}, not at the wanted {designed.bandwidth:g} Hz: {why}")
-    if amplitude is not None and amplitude > designed.largest_step:
-        warnings.append(
-            f"a step by {amplitude:g} V saturates; the largest that does not is {designed.largest_step:.3g} V"
-        )
     return warnings
 
 
