@@ -409,7 +409,7 @@ def lockstep(path: Path) -> None:
 def compensator(path: Path) -> None:
     """Response of an identified valve with and without its compensator."""
     valve_control("identify", "--set", "lvdt.noise=0.005", "--output", "valve.yaml")
-    words = ["--from", "valve.yaml", "--bandwidth", "25", "--amplitude", "2"]
+    words = ["--from", "valve.yaml", "--bandwidth", "25"]
     valve_control("compensator", *words, "--output", "compensator.yaml", "--figure", str(path))
 
 

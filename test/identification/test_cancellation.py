@@ -45,7 +45,7 @@ def test_warnings():
     [
         (TransferFunction((1.0,), (1.0, -3.0, 2.0)), "stable model"),
         (TransferFunction((1.0, 2.0, 3.0), (1.0, 3.0, 2.0)), "2 zeros and 2 poles"),
-        (TransferFunction((0.0,), (1.0, 2.0)), "must not be 0"),
+        (TransferFunction((0.0,), (1.0, 2.0)), "more poles than zeros"),
         (TransferFunction((1.0, 0.0), (1.0, 2.0, 3.0)), "zero at 0 rad/s"),
         (TransferFunction((float("inf"),), (1.0, 2.0)), "not finite"),
     ],

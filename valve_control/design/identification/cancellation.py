@@ -84,18 +84,14 @@ def make(
 
 def check(model: TransferFunction) -> None:
     """Raise DesignError unless ``model`` can be the response of a valve."""
-    if not np.all(np.isfinite([*model.numerator, *model.denominator])):
-        raise design.DesignError("the model has coefficients that are not finite")
-    if not np.any(model.denominator) or not np.any(model.numerator):
-        raise design.DesignError("the model's numerator and denominator must not be 0")
-    zeros, poles = (len(np.trim_zeros(np.asarray(part), "f")) - 1 for part in model)
-    if zeros >= poles:
-        raise design.DesignError(
-            f"the model has {zeros} zeros and {poles} poles; a valve has more poles than zeros"
-        )
     sizes = np.abs([x for part in model for x in part if x])
-    if np.max(sizes) > MOST * np.min(sizes):
-        raise design.DesignError("the model has coefficients of too different sizes for a valve")
+    if not np.all(np.isfinite(sizes)) or np.max(sizes, initial=0.0) > MOST * np.min(sizes, initial=np.inf):
+        raise design.DesignError("the model has coefficients that are not finite, or of too different sizes")
+    zeros, poles = (len(np.trim_zeros(np.asarray(part), "f")) - 1 for part in model)
+    if not 0 <= zeros < poles:
+        raise design.DesignError(
+            f"the model has {zeros} zeros and {poles} poles (-1: it is 0); a valve has more poles than zeros"
+        )
 
 
 def _warnings(designed: Compensator, cancel_zeros: bool) -> list[str]:
