@@ -10,7 +10,6 @@ from valve_control import outputs
 from valve_control.control.analysis.figures import COLOURS, bode_axes
 from valve_control.control.laws.registry import ADAPTIVE
 from valve_control.control.parameters import build
-from valve_control.control.parameters.files import load
 from valve_control.control.parameters.ros_file import as_yaml
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant.models import TransferFunction
@@ -20,7 +19,7 @@ from valve_control.design.identification.characteristic import Characteristic
 from valve_control.design.identification.first_gains import KnownValve, rounded
 from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response
-from valve_control.parameter import ParameterError, Values, defaults, updated
+from valve_control.parameter import Values, defaults, updated
 
 STABLE = (
     "Gains of pid, arc, oarc, dcarc: for a first run, stable with 0.67 to 1.5 times the gain, 0.8 to",
@@ -173,14 +172,10 @@ def parameters(found: Identification) -> dict[str, Values]:
         **{name: value for law in ADAPTIVE for name, value in known.theta.parameters(law).items()},
         **found.gains,
     }
-    return with_period({"valve_simulator": rounded(valve), "controller": rounded(controller)}, known.period)
-
-
-def with_period(tree: dict[str, Values], period: float) -> dict[str, Values]:
-    """``tree`` with the sample period [s] for all nodes, unless it is the default."""
-    if period == defaults(NODES["controller"])["sample_period"]:
-        return tree
-    return {"": rounded({"sample_period": period}), **tree}
+    tree = {"valve_simulator": rounded(valve), "controller": rounded(controller)}
+    if known.period != defaults(NODES["controller"])["sample_period"]:
+        tree[""] = rounded({"sample_period": known.period})  # of all nodes
+    return tree
 
 
 def check_parameters(tree: dict[str, Values]) -> None:
@@ -230,14 +225,6 @@ def linearisation_text(found: Identification) -> str:
 def parameter_file(tree: dict[str, Values], comments: list[str]) -> str:
     """A ROS 2 parameter file with a section for each node of any namespace; "" is all nodes."""
     return as_yaml({f"/**/{node}" if node else "/**": values for node, values in tree.items()}, comments)
-
-
-def read_model(path: str) -> TransferFunction:
-    """The valve's model in a parameter file such as ``identify`` writes. Raises ParameterError."""
-    valve = load(path)["valve_simulator"]
-    if "valve" not in valve and "numerator" not in valve:
-        raise ParameterError(f"{path} has no valve model: neither 'valve' nor 'numerator' is in it")
-    return build.valve_model(updated(NODES["valve_simulator"], defaults(NODES["valve_simulator"]), valve))
 
 
 def model_dict(model: TransferFunction) -> dict[str, Any]:
