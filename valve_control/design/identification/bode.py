@@ -10,7 +10,6 @@ import numpy as np
 import scipy.signal
 
 from valve_control.arrays import Complexes, Floats
-from valve_control.control.laws import biquads
 from valve_control.control.plant.models import TransferFunction
 
 GRID: Floats = np.geomspace(1e-5, 1e4, 4000)  # Hz, where corners are looked for
@@ -64,21 +63,6 @@ def held_response(model: TransferFunction, frequency: Floats, period: float, del
     rest = poles * period * (1.0 - part)
     later: Complexes = (state * np.exp(rest) + np.expm1(rest) / poles) @ residues * z ** (-(whole + 1))
     return later
-
-
-def _sections(p: biquads.Params) -> list[list[float]]:
-    return [[g.b0, g.b1, g.b2, 1.0, g.a1, g.a2] for g in (p.first, p.second, p.third)]
-
-
-def sections_response(p: biquads.Params, frequency: Floats, period: float) -> Complexes:
-    """Response of a compensator's sections at ``frequency`` [Hz], one sample every ``period`` [s]."""
-    value: Complexes = scipy.signal.sosfreqz(_sections(p), frequency, fs=1.0 / period)[1]
-    return value
-
-
-def step_peak(p: biquads.Params, samples: int) -> float:
-    """Largest output of a compensator's sections within so many ``samples`` after a step by 1, unlimited."""
-    return float(np.max(np.abs(scipy.signal.sosfilt(_sections(p), np.ones(samples)))))
 
 
 def corners(frequency: Floats, value: Complexes) -> Corners:

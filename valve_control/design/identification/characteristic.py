@@ -12,10 +12,9 @@ off.
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize
 import scipy.stats
 
 from valve_control.arrays import Floats
@@ -23,14 +22,16 @@ from valve_control.control.analysis.figures import Line, Plot, draw_plots
 from valve_control.control.laws import linearisation
 from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.friction import (
+    HARDLY,
     PRESLIDING,
     Friction,
+    Shares,
     Stroke,
     Triangle,
     friction,
+    shares,
     sliding,
     triangle_of,
-    turning,
 )
 from valve_control.parameter import ParameterError, Values
 
@@ -41,15 +42,8 @@ CONFIDENCE = 0.95
 END = 0.05  # of a stroke, in which it shows a stop ...
 FLAT = 0.2  # ... where its slope is below this share of the gain
 TOLD_OVERLAP, TOLD_GAIN = 0.05, 0.03  # V and share of the gain, from which on they are told beside bounds
-LEAST_SHARED = 0.08  # V  half of the hysteresis, below which its shares are not told
-SEEN, LEAST_WAY = 3.0, 5e-4  # times the noise and V, beyond which a way behind a turn counts
-EXACT = 0.02  # V  beyond which a point of the turn counts less
-BENT, BENT_LEAST = 0.06, 0.03  # share of that half, and V, rms, by which the turn may differ from the fit
-BEYOND = 1.2  # times that half, which the friction of a fit may have
-BEGUN = (0.005, 0.02, 0.08)  # V  preslidings from which its search begins
 SAME = 0.1  # of the friction, by which that of the curve may differ where its presliding is to count
 TOLD_PLAY = 0.05  # V
-HARDLY = 1.01  # times the least presliding that is looked for, up to which none was seen
 DEAD = 0.05  # of the gain, slope of the table in an overlap: its inverse is steep there, and no step
 STOPPED = 0.02  # of the gain, slope of the table behind a stop
 
@@ -69,29 +63,19 @@ class Side(NamedTuple):
     stop: Bounded | None  # V  position at which the spool stands still; None: not reached
 
 
-class Shares(NamedTuple):
-    """What play of the magnet and friction of the spool have of half the hysteresis."""
-
-    play: float  # V  half width
-    friction: float  # V
-    presliding: float  # V
-
-
 class Characteristic(NamedTuple):
     """The static curve."""
 
     voltage: Floats  # V, POINTS
     rising: Floats  # V, position with rising voltage
     falling: Floats  # V
-    rising_bound: Floats  # V, half-widths of their 95 % confidence intervals
-    falling_bound: Floats  # V
     positive: Side
     negative: Side
     overlap: Bounded  # V  between the edges; below 0: underlap
     null: Bounded  # V  voltage in the middle of the overlap
     hysteresis: Bounded  # V  between rising and falling voltage at one position: 2·(play + friction)
     strokes: int
-    shares: "Shares | None" = None  # of the hysteresis; None: not to be told
+    shares: Shares | None = None  # of the hysteresis; None: not to be told
 
     @property
     def lopsided(self) -> bool:
@@ -116,12 +100,11 @@ def characteristic(tested: Experiment, lag: float) -> Characteristic:
     """
     t = triangle_of(tested, lag)
     found = _curve(t)
-    half = 0.5 * found.hysteresis.value
-    if half < LEAST_SHARED or found.overlap.value < -TOLD_OVERLAP:  # both sides act in an underlap
+    if found.overlap.value < -TOLD_OVERLAP:  # both sides act in an underlap
         return found
     slope, offset, _ = sliding(t)
     rest = t.voltage - (found.static(t.reading) if found.lopsided else slope * t.reading + offset)
-    return found._replace(shares=_shares(*turning(t, rest, slope), half))
+    return found._replace(shares=shares(t, rest, slope, 0.5 * found.hysteresis.value))
 
 
 def with_friction(tested: Experiment, lag: float) -> tuple[Friction, Characteristic | None]:
@@ -168,8 +151,6 @@ def _curve(t: Triangle) -> Characteristic:
         voltage=grid,
         rising=np.mean(rising, axis=0),
         falling=np.mean(falling, axis=0),
-        rising_bound=_bound(rising),
-        falling_bound=_bound(falling),
         positive=positive,
         negative=negative,
         overlap=Bounded(positive.edge.value - negative.edge.value, 2.0 * null.bound),
@@ -181,38 +162,6 @@ def _curve(t: Triangle) -> Characteristic:
 
 def _middle(one: Bounded, other: Bounded) -> Bounded:
     return Bounded(0.5 * (one.value + other.value), 0.5 * math.hypot(one.bound, other.bound))
-
-
-def _shares(x: Floats, w: Floats, noise: float, half: float) -> Shares | None:
-    """Play and friction, together ``half`` [V], from the mean turn of the strokes.
-
-    Behind a turn the voltage first goes through the play while the spool stands still; then the bristles
-    turn round with the way Δx of the spool. So w, what the voltage has beyond the position, is
-    half - 2·F·exp(-Δx/δ), and its amplitude at Δx = 0 is that of the friction F alone. A spool that swings on
-    its bristles at the turn shakes them loose: that is no exponential and tells nothing of a play.
-    """
-    turn = int(np.argmin(x[: len(x) // 2]))
-    way, rest = x[turn:] - x[turn], half - w[turn:]
-    seen = (way > max(SEEN * noise, LEAST_WAY)) & (way < PRESLIDING[1])
-    if np.count_nonzero(seen) < LEAST_POINTS:
-        return None
-    way, rest = way[seen], rest[seen]
-    searches = [
-        scipy.optimize.least_squares(
-            lambda p: rest - 2.0 * p[0] * np.exp(-way / p[1]),
-            [0.5 * half, delta],
-            bounds=([0.0, PRESLIDING[0]], [BEYOND * half, PRESLIDING[1]]),
-            loss="soft_l1",
-            f_scale=EXACT,
-        )
-        for delta in BEGUN
-    ]
-    level, delta = (float(v) for v in min(searches, key=lambda one: one.cost).x)
-    left = rest - 2.0 * level * np.exp(-way / delta)
-    bent = float(np.sqrt(np.mean(left**2))) > max(BENT * half, BENT_LEAST)
-    if bent and delta > HARDLY * PRESLIDING[0]:
-        return None
-    return Shares(max(0.0, half - level), min(half, level), delta)
 
 
 def _static(t: Triangle, stroke: Stroke) -> tuple[Floats, Floats]:
@@ -253,15 +202,10 @@ def _stop(strokes: Sequence[tuple[Floats, Floats]], sign: float, gain: float) ->
 
 
 def _mean(values: Floats) -> Bounded:
-    return Bounded(float(np.mean(values)), float(_bound(values[:, None])[0]))
-
-
-def _bound(rows: Floats) -> Floats:
-    """Half-widths of the 95 % confidence intervals of the means of ``rows``, strokes by points."""
-    n = len(rows)
+    """Mean of the strokes' ``values`` with the half-width of its 95 % confidence interval."""
+    n = len(values)
     quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, n - 1))
-    width: Floats = quantile * np.std(rows, axis=0, ddof=1) / math.sqrt(n)
-    return width
+    return Bounded(float(np.mean(values)), quantile * float(np.std(values, ddof=1)) / math.sqrt(n))
 
 
 def notes(found: Characteristic) -> list[str]:
@@ -343,18 +287,6 @@ def text(found: Characteristic) -> str:
             f"{1e3 * presliding:.3g} mV"
         )
     return "\n".join(lines)
-
-
-def as_dict(found: Characteristic) -> dict[str, Any]:
-    """For JSON."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, (Bounded, Side, Shares)):
-            return {name: plain(part) for name, part in value._asdict().items()}
-        return value.tolist() if isinstance(value, np.ndarray) else value
-
-    whole = {name: plain(value) for name, value in found._asdict().items()}
-    return {"half_of_hysteresis": whole.pop("shares"), **whole}
 
 
 def draw(found: Characteristic, path: str) -> None:

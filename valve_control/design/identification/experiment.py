@@ -21,9 +21,7 @@ from valve_control.parameter import ParameterError, Values, defaults, number, up
 
 DEFAULTS = {"scenario": "stepped_sine", "frequency": 0.5, "end_frequency": 100.0, "sweep_time": 60.0}
 ROOM = 0.4  # times the sampling frequency, above which no frequency is tried unasked
-STILL = 1e-6  # V within which a voltage does not move
 LONGEST = 50_000_000  # samples
-STUCK = 0.005  # V/V, a response that no moving spool stays below
 SPAN = 5.0  # highest over lowest frequency that a model needs at least
 HELD_TRAVEL = 0.1  # V, and
 HELD_GAIN = 0.25  # V/V, below both of which a spool may be held by friction: its bristles give a few 0.01 V
@@ -123,8 +121,6 @@ def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | 
             f"the voltage is at its limit of {experiment.u_max:g} V in {at_limit} of {len(voltage)} samples; "
             "choose a smaller amplitude"
         )
-    if not np.any(np.abs(voltage - voltage[0]) > STILL):
-        raise ParameterError("the voltage does not move, so there is no excitation")
     whole = (0.0, math.inf) if experiment.segments else (0.5, min(100.0, ROOM / period))
     low, high = band or whole
     if experiment.segments:
@@ -138,11 +134,14 @@ def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | 
             raise ParameterError("no reading came after the first voltage")
         position = np.interp(np.arange(len(voltage)), known, position[known])
         measured = response.spectral(voltage, position, period, low, high)
+    # A spool that friction holds answers as a stiffer valve would, linear and with narrow bounds; by its
+    # response alone it cannot be told from one.
     largest = float(np.max(np.abs(measured.value)))
-    if largest < STUCK:
+    amplitude = 0.5 * float(np.nanmax(experiment.voltage) - np.nanmin(experiment.voltage))
+    if largest < HELD_GAIN and largest * amplitude < HELD_TRAVEL:
         raise ParameterError(
-            f"the spool hardly moves, by at most {largest:.2g} V per volt; is the amplitude too small for "
-            "its friction?"
+            f"{amplitude:.3g} V moved the spool by {largest * amplitude:.2g} V alone, which is what friction "
+            "gives while it holds a spool; test with a larger amplitude"
         )
     lowest, highest = float(measured.frequency[0]), float(measured.frequency[-1])
     if highest < SPAN * lowest:
@@ -178,18 +177,3 @@ def period_notes(period: float, second: Fit) -> list[str]:
         f"of {natural:.3g} Hz; {1e3 / (SAMPLES * natural):.2g} ms is the longest that its model and gains "
         "can be relied on with"
     ]
-
-
-def check_travel(experiment: Experiment, static_gain: float) -> None:
-    """Raise ParameterError for a spool that moved by no more than friction gives that holds it.
-
-    Held, a spool answers as a stiffer valve would, linear and with narrow bounds; by its response alone it
-    cannot be told from one. ``static_gain`` [V/V]: of the fit.
-    """
-    amplitude = 0.5 * float(np.nanmax(experiment.voltage) - np.nanmin(experiment.voltage))
-    travel = abs(static_gain) * amplitude
-    if abs(static_gain) < HELD_GAIN and travel < HELD_TRAVEL:
-        raise ParameterError(
-            f"{amplitude:.3g} V moved the spool by {travel:.2g} V alone, which is what friction gives while "
-            "it holds a spool; test with a larger amplitude"
-        )

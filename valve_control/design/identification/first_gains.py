@@ -27,8 +27,6 @@ from valve_control.design.identification import dead_time
 from valve_control.design.identification.characteristic import Characteristic
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
-from valve_control.design.identification.rational import Fit, check_worth, fit
-from valve_control.design.identification.response import Response
 from valve_control.design.identification.theta import GAINS, SPEEDS, Suggestion
 from valve_control.parameter import ParameterError, Values, defaults, number, numbers, updated
 
@@ -53,7 +51,6 @@ CLOSE, LEAST_SPREAD = 0.3, 0.1  # -, V  spread of the weights around the measure
 HIGHEST = 1.5  # times the measured friction, up to which a weight may go
 OFFSET_SPREAD = 0.2  # V
 OFFSET_ROOM = 0.5  # V  beyond the measured offset, up to which a weight may go at least
-CERTAIN = 2.0  # bounds that a dead time must be above 0
 LEAST_PLAY, LEAST_SIDES = 0.01, 0.02  # V and -, above which there are terms for them
 REAL = 1e-6  # imaginary part of a real pole, at most, over its size
 # Of dcarc on a valve whose coil, play and friction are known: the disturbance that is left is small.
@@ -93,27 +90,6 @@ class KnownValve(NamedTuple):
     friction: Friction | None = None  # None: not tested
     sensor_delay: float = 0.0  # s  what of the dead time is the sensor's; the rest is the actuator's
     magnet: Magnet | None = None  # None: not known
-
-
-def with_dead_time(measured: Response, best: Fit) -> tuple[TransferFunction, float, tuple[str, ...]]:
-    """Model of the order of ``best`` with its dead time [s], and a note on the latter.
-
-    Where ``best`` has none, it is fitted too; it counts if it is certain, and the coefficients belong to it.
-    """
-    if "delay" in best.names:
-        return best.model, best.delay, ()
-    try:
-        late = fit(measured, best.order, len(best.model.numerator) - 1, True)
-        check_worth(late)
-    except ParameterError:
-        return best.model, 0.0, ()
-    if not late.delay > CERTAIN * late.bounds[-1] or not late.error < best.error:
-        return best.model, 0.0, ()
-    note = (
-        f"the readings are {1e3 * late.delay:.3f} ± {1e3 * late.bounds[-1]:.2g} ms late; dcarc gets this "
-        "dead time and the coefficients that go with it; with --delay so does everything else"
-    )
-    return late.model, late.delay, (note,)
 
 
 def first(known: KnownValve, around: KnownValve | None = None) -> FirstGains:
@@ -186,11 +162,7 @@ def _adaptive(law: str, known: KnownValve, share: float) -> Values:
     if law == "oarc":
         values["oarc.z2_weight"] = known.theta.initial[2] ** 2
     for gain, power in SCALED[law].items():
-        name = f"{law}.{gain}"
-        if gain == "gamma":
-            values[name] = [share**power * g for g in numbers(own, name)]
-        else:
-            values[name] = share**power * number(own, name)
+        values[f"{law}.{gain}"] = (share**power * np.asarray(own[f"{law}.{gain}"])).tolist()
     return rounded(values)
 
 

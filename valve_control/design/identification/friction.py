@@ -4,8 +4,8 @@
 
 The derivation is in docs/explanation/identification.md. Sliding steadily, the spool is where
 u = x/G + o ± (F + τ·v/G) puts it, with its static gain G, offset o, Coulomb friction F and the lag τ of the
-valve. Behind each turn the bristles turn round: the friction follows the spool's way Δx as
-F·(1 - c·exp(-Δx/δ)), with the presliding δ.
+valve. Behind each turn the voltage goes through the play of a magnet, if there is one; then the bristles turn
+round: the friction follows the spool's way Δx as F·(1 - 2·exp(-Δx/δ)), with the presliding δ.
 """
 
 import math
@@ -13,6 +13,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import scipy.ndimage
 import scipy.optimize
 
 from valve_control.arrays import Floats
@@ -35,18 +36,20 @@ EQUAL = 0.02  # by which strokes may differ in length
 STRAIGHT = 0.02  # of the travel, by which they may be bent
 LEAST_STROKES = 4
 STEADY = (0.7, 0.97)  # part of a stroke that counts as steady sliding
-TURNED = -0.2  # of the friction level: bristles have turned round for certain, and
-SLIDING = 0.85  # nearly slide
 WINDOW = 0.004  # s  over which readings are taken together
 SMOOTH = 5  # windows over which the velocity is taken
-RESOLVED = 0.001  # V  deviation that friction may have from a single exponential
 PRESLIDING = (1e-3, 0.3)  # V  looked for
-LEAST_FRICTION = 0.1  # V  below which presliding is not told
-LEAST_WINDOWS = 10
+BEGUN = (0.005, 0.02, 0.08)  # V  preslidings from which the search begins
+LEAST_FRICTION = 0.08  # V  below which presliding and play are not told
+LEAST_WINDOWS = 20
+SEEN, LEAST_WAY = 3.0, 5e-4  # times the noise and V, beyond which a way behind a turn counts
+EXACT = 0.02  # V  beyond which a point of the turn counts less
+BENT, BENT_LEAST = 0.06, 0.03  # share of the friction, and V, rms, by which the turn may differ from the fit
+BEYOND = 1.2  # times the friction, which that of a fit may have
+HARDLY = 1.01  # times the least presliding that is looked for, up to which none was seen
 HIGHEST = 9  # harmonic of a stepped sine that is looked at
 SETTLED = 0.4  # s
 LEFT = 0.1  # share of the correction for friction and play that counts as its uncertainty
-MISFIT = 1.5  # deviations, rms, from which on friction is not that of bristles which turn round
 SLOWEST = 5.0  # lags of the valve, that a stroke takes at least between its turn and STEADY
 
 
@@ -58,6 +61,14 @@ class Friction(NamedTuple):
     static_gain: float  # V/V  of the valve as it was tested
     offset: float  # V  input disturbance
     strokes: int  # that it comes from
+
+
+class Shares(NamedTuple):
+    """What play of the magnet and friction of the spool have of half the hysteresis."""
+
+    play: float  # V  half width
+    friction: float  # V
+    presliding: float  # V
 
 
 class Stroke(NamedTuple):
@@ -76,11 +87,6 @@ class Triangle(NamedTuple):
     strokes: list[Stroke]  # whole ones of one length; not the first: bristles before it began at rest
     lag: float  # s  of slow motions behind the held voltage
     period: float  # s
-
-    @property
-    def length(self) -> int:
-        """Samples of a stroke."""
-        return self.strokes[0].length
 
 
 def lag_of(model: TransferFunction, delay: float) -> float:
@@ -131,19 +137,17 @@ def _strokes(voltage: Floats) -> list[Stroke]:
 def friction(tested: Experiment, lag: float) -> Friction:
     """Friction from a triangle of the voltage; ``lag`` [s]: see ``lag_of``. Raises ParameterError."""
     t = triangle_of(tested, lag)
-    if STEADY[0] * t.length * t.period < SLOWEST * t.lag:
+    first, length, _ = t.strokes[0]
+    time = length * t.period
+    if STEADY[0] * time < SLOWEST * t.lag:
         raise ParameterError(
-            f"a stroke of the friction test takes {t.length * t.period:.3g} s; on this valve it must take "
+            f"a stroke of the friction test takes {time:.3g} s; on this valve it must take "
             f"{SLOWEST * t.lag / STEADY[0]:.3g} s or more"
         )
     slope, offset, beyond = sliding(t)
-    first = t.strokes[0].first
-    speed = abs(t.voltage[first + t.length] - t.voltage[first]) / (t.length * t.period) / slope
-    coulomb = max(0.0, beyond - slope * t.lag * speed)
-    presliding = 0.0
-    if coulomb >= LEAST_FRICTION:
-        presliding = _presliding(*turning(t, t.voltage - slope * t.reading - offset, slope), coulomb)
-    return Friction(coulomb, presliding, 1.0 / slope, -offset, len(t.strokes))
+    coulomb = max(0.0, beyond - t.lag * abs(t.voltage[first + length] - t.voltage[first]) / time)
+    turn = shares(t, t.voltage - slope * t.reading - offset, slope, coulomb)
+    return Friction(coulomb, 0.0 if turn is None else turn.presliding, 1.0 / slope, -offset, len(t.strokes))
 
 
 def without(tested: Experiment, found: Friction, play: float = 0.0, coil: float = 0.0) -> Experiment:
@@ -247,54 +251,44 @@ def sliding(t: Triangle) -> tuple[float, float, float]:
     return float(slope), float(offset), float(beyond)
 
 
-def turning(t: Triangle, rest: Floats, slope: float) -> tuple[Floats, Floats, float]:
-    """Mean position [V] and friction [V] of all strokes, turned to rise, and the position's noise.
+def shares(t: Triangle, rest: Floats, slope: float, half: float) -> Shares | None:
+    """Play and friction, together ``half`` [V], from the mean turn of all strokes, turned to rise.
 
-    ``rest`` [V]: voltage minus the voltage that the position needs; ``slope``: 1/G [V/V].
+    ``rest`` [V]: voltage minus the voltage that the position needs; ``slope``: 1/G [V/V]. Behind a turn the
+    voltage first goes through the play while the spool stands still; then the bristles turn round with the
+    way Δx of the spool. So w, what the voltage has beyond the position, is half - 2·F·exp(-Δx/δ), and its
+    amplitude at Δx = 0 is that of the friction F alone. A spool that swings on its bristles at the turn
+    shakes them loose: that is no exponential and tells nothing. None: not to be told.
     """
+    if half < LEAST_FRICTION:
+        return None
     size = max(1, round(WINDOW / t.period))
-    count = t.length // size
-    x, w = np.zeros(count), np.zeros(count)
-    for first, _, direction in t.strokes:
-        part = slice(first, first + count * size)
-        x += direction * t.reading[part].reshape(count, size).mean(axis=1) / len(t.strokes)
-        w += direction * rest[part].reshape(count, size).mean(axis=1) / len(t.strokes)
-    velocity = np.gradient(x, size * t.period)
-    velocity = np.convolve(np.pad(velocity, SMOOTH // 2, mode="edge"), np.full(SMOOTH, 1.0 / SMOOTH), "valid")
+    count = t.strokes[0].length // size
+    strokes = [(slice(first, first + count * size), d) for first, _, d in t.strokes]
+    whole = [np.mean([d * one[part] for part, d in strokes], axis=0) for one in (t.reading, rest)]
+    x, w = (one.reshape(count, size).mean(axis=1) for one in whole)
+    velocity = scipy.ndimage.uniform_filter1d(np.gradient(x, size * t.period), SMOOTH, mode="nearest")
+    w -= slope * t.lag * velocity
     noise = float(np.std(np.diff(x[-count // 4 :], 2))) / math.sqrt(6.0)
-    return x, w - slope * t.lag * velocity, noise
+    turn = int(np.argmin(x[: len(x) // 2]))
+    way, left = x[turn:] - x[turn], half - w[turn:]
+    seen = (way > max(SEEN * noise, LEAST_WAY)) & (way < PRESLIDING[1])
+    if np.count_nonzero(seen) < LEAST_WINDOWS:
+        return None
+    way, left = way[seen], left[seen]
 
+    def misfit(p: Floats) -> Floats:
+        return np.asarray(left - 2.0 * p[0] * np.exp(-way / p[1]))
 
-def _presliding(x: Floats, w: Floats, noise: float, coulomb: float) -> float:
-    """δ [V] of w = F·(1 - c·exp(-Δx/δ)) between TURNED and SLIDING; 0.0: not to be told.
-
-    A spool that swings on its bristles when it turns shakes them loose: that is no exponential, and 0.0 too.
-    A point counts by the noise of the friction and by that of the position, which the slope dw/dx shows.
-    """
-    beyond = np.flatnonzero(w > SLIDING * coulomb)
-    end = int(beyond[0]) if len(beyond) else len(w)
-    before = np.flatnonzero(w[:end] < TURNED * coulomb)
-    begin = int(before[-1]) + 1 if len(before) else 0
-    if end - begin < LEAST_WINDOWS:
-        return 0.0
-    way, w = x[begin:end] - x[begin], w[begin:end]
-
-    def weighed(delta: float) -> tuple[Floats, Floats]:
-        """What is left at each point, over its deviation, and the deviations [V]."""
-        left = np.exp(-way / delta)
-        deviation = np.hypot(RESOLVED, 2.0 * coulomb / delta * left * noise)
-        part, wanted = left / deviation, (coulomb - w) / deviation
-        return wanted - (part @ wanted) / (part @ part) * part, deviation
-
-    def cost(logarithm: float) -> float:
-        left, deviation = weighed(math.exp(logarithm))
-        return float(np.sum(left**2) + 2.0 * np.sum(np.log(deviation)))
-
-    grid = np.log(np.geomspace(*PRESLIDING, 120))
-    best = int(np.argmin([cost(float(g)) for g in grid]))
-    if best in (0, len(grid) - 1):
-        return 0.0
-    found = scipy.optimize.minimize_scalar(cost, bounds=(grid[best - 1], grid[best + 1]), method="bounded")
-    delta = math.exp(float(found.x))
-    misfit = math.sqrt(float(np.mean(weighed(delta)[0] ** 2)))
-    return delta if misfit <= MISFIT else 0.0
+    how = {
+        "bounds": ([0.0, PRESLIDING[0]], [BEYOND * half, PRESLIDING[1]]),
+        "loss": "soft_l1",
+        "f_scale": EXACT,
+    }
+    searches = [scipy.optimize.least_squares(misfit, [0.5 * half, delta], **how) for delta in BEGUN]
+    best = min(searches, key=lambda one: one.cost).x
+    level, delta = (float(v) for v in best)
+    bent = math.sqrt(float(np.mean(misfit(best) ** 2))) > max(BENT * half, BENT_LEAST)
+    if bent and delta > HARDLY * PRESLIDING[0]:
+        return None
+    return Shares(max(0.0, half - level), min(half, level), delta)

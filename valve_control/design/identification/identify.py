@@ -100,13 +100,13 @@ def _slipping(
 def _fits(request: Request, tested: Experiment, measured: Response) -> tuple[Fit, ...]:
     """The second order for the estimates, then the model that stands for the valve if it is another.
 
-    Without an order the response chooses. A second order that misses it then has a dead time too.
+    The response chooses a dead time, and the form where no order is asked for. A second order that misses it
+    then has a dead time too.
     """
     refusals: list[ParameterError] = []
     for delayed in (request.delayed,) if request.delayed or request.order is not None else (False, True):
         try:
             second = rational.fit(measured, 2, delayed=delayed)
-            experiment.check_travel(tested, second.model.static_gain)
             rational.check_worth(second)
             break
         except ParameterError as error:
@@ -118,15 +118,9 @@ def _fits(request: Request, tested: Experiment, measured: Response) -> tuple[Fit
             f"{tested.source} was recorded in closed loop ({tested.feedback}), which does not show the valve "
             f"alone: {refusals[0]}; record a stepped sine or sweep with controller open_loop"
         ) from refusals[0]
-    if request.order is not None:
-        best = (
-            second if request.order == 2 else rational.fit(measured, request.order, delayed=request.delayed)
-        )
-        rational.check_worth(best)
-    elif second.model_error == 0.0:  # noise alone explains what is left
-        best = second
-    else:
-        best = structure.choose(measured, request.delayed)
+    if request.order is None and second.model_error == 0.0:  # noise alone explains what is left
+        return (second,)
+    best = structure.choose(measured, request.delayed, request.order)
     return (second,) if best.names == second.names else (second, best)
 
 
@@ -150,17 +144,15 @@ def _with_gains(
         friction=rubbing,
         sensor_delay=request.sensor_delay,
     )
-    model, delay, late = first_gains.with_dead_time(measured, best)
-    apart, magnet = first_gains.without_play(rubbing, curve), first_gains.magnet_of(model, curve)
-    gains = first_gains.first(known._replace(model=model, delay=delay, friction=apart, magnet=magnet))
+    apart, magnet = first_gains.without_play(rubbing, curve), first_gains.magnet_of(best.model, curve)
+    gains = first_gains.first(known._replace(friction=apart, magnet=magnet))
     notes = [
         *tested.notes,
         *measured.notes,
         *experiment.coherence_notes(measured),
         *experiment.period_notes(measured.period, second),
         *([] if curve is None else characteristic.notes(curve)),
-        *late,
-        *dead_time.notes(delay, request.sensor_delay),
+        *dead_time.notes(best.delay, request.sensor_delay),
         *gains.notes,
     ]
     if tested.feedback:

@@ -7,20 +7,14 @@ import numpy as np
 from valve_control.arrays import Floats, Integers
 from valve_control.control.analysis import timing
 from valve_control.control.analysis.timing import leaps, numbered_by_time, true_period
-from valve_control.control.commands import scenarios
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import build
 from valve_control.design.identification import response
 from valve_control.design.identification.experiment import Experiment, RecordedTimes, held
-from valve_control.design.identification.response import Segment
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import in_order
 from valve_control.recordings.recording import Aligned, Recording, ValveRecording, align, voltages_before
 
-STILL = 1e-6  # V within which a voltage does not move
-LOOSE = 0.5  # of a sine's amplitude that jitter of a wall clock may leave
 MOSTLY = 0.5  # share of the readings that a voltage answers, of a controller that answers each
-MARGIN = 0.01  # s by which a schedule may be late
 
 
 def _kept_period(aligned: Aligned, sequence: Integers, notes: list[str]) -> float:
@@ -95,8 +89,6 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
             f"time leaps {len(cuts)} times beside the readings, because the clock was set or readings are "
             f"missing; only {len(time) * period:.4g} s between two leaps are used"
         )
-    voltage_held = held(voltage)
-    segments = _scheduled(recording, valve, voltage_held, time, period)
     initial = {} if valve.controller is None else valve.controller.initial
     law = str(initial.get("controller", "open_loop"))
     feedback = law if law in LAWS and LAWS[law].feedback else ""
@@ -105,7 +97,7 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
         period=period,
         voltage=voltage,
         position=position,
-        segments=tuple(segments or response.find_segments(voltage_held, period)),
+        segments=tuple(response.find_segments(held(voltage), period)),
         u_max=float(initial.get("u_max", 10.0)),
         notes=tuple(notes),
         feedback=feedback,
@@ -125,32 +117,3 @@ def _times(
     late[index] = timing.placed(aligned.time, index, period)[1]
     means = timing.means(np.append(time, time[-1] + period), sent, given.value)
     return RecordedTimes(means, late, timing.spread(aligned.latency))
-
-
-def _scheduled(
-    recording: Recording, valve: ValveRecording, voltage: Floats, time: Floats, period: float
-) -> list[Segment]:
-    """Segments of the stepped sine that the command source's recorded parameters tell; empty if none."""
-    moving = np.flatnonzero(np.abs(voltage - voltage[0]) > STILL)
-    for source in recording.nodes.values():
-        if source.kind == "command_source" and source.namespace == valve.topics.namespace:
-            break
-    else:
-        return []
-    told = dict(source.initial)
-    for change in source.changes:
-        told.update(change.values)
-    values, _ = source.table_values(told)
-    if values["scenario"] != "stepped_sine" or len(moving) == 0:
-        return []
-    begin = time[max(0, int(moving[0]) - 1)]
-    segments = []
-    for step in scenarios.steps_of(build.shape(values)):
-        first, end = np.searchsorted(time, [begin + step.start, begin + step.end - MARGIN])
-        if end - first < response.LEAST_SAMPLES or step.frequency * period >= 0.5:
-            continue
-        exact = response.refined(voltage, int(first), int(end), step.frequency * period, period, LOOSE)
-        if exact is None or abs(exact.frequency / step.frequency - 1.0) > response.SAME:
-            return []
-        segments.append(exact)
-    return segments

@@ -10,7 +10,6 @@ from valve_control import outputs
 from valve_control.control.analysis.figures import COLOURS, bode_axes
 from valve_control.control.laws.registry import ADAPTIVE
 from valve_control.control.parameters import build
-from valve_control.control.parameters.files import load
 from valve_control.control.parameters.ros_file import as_yaml
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant.models import TransferFunction
@@ -20,7 +19,7 @@ from valve_control.design.identification.characteristic import Characteristic
 from valve_control.design.identification.first_gains import KnownValve, rounded
 from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response
-from valve_control.parameter import ParameterError, Values, defaults, updated
+from valve_control.parameter import Values, defaults, updated
 
 STABLE = (
     "Gains of pid, arc, oarc, dcarc: for a first run, stable with 0.67 to 1.5 times the gain, 0.8 to",
@@ -43,12 +42,10 @@ class Identification(NamedTuple):
 
 def polynomial(coefficients: tuple[float, ...]) -> str:
     """A polynomial in s, such as s² + 58.77 s + 1657."""
-    powers = "⁰¹²³⁴⁵⁶⁷⁸⁹"
     text = ""
-    for i, c in enumerate(coefficients):
-        power = len(coefficients) - 1 - i
-        s = "" if power == 0 else "s" if power == 1 else f"s{powers[power]}"
-        size = s if s and abs(c) == 1.0 else f"{abs(c):.7g}{' ' if s else ''}{s}"
+    for power, c in zip(reversed(range(len(coefficients))), coefficients, strict=True):
+        s = ("", "s")[power] if power < 2 else f"s{'⁰¹²³⁴⁵⁶⁷⁸⁹'[power]}"
+        size = s if s and abs(c) == 1.0 else f"{abs(c):.7g} {s}".rstrip()
         text += f" {'-' if c < 0.0 else '+'} {size}" if text else f"{'-' if c < 0.0 else ''}{size}"
     return text
 
@@ -69,7 +66,8 @@ def roots_text(roots: list[Root], measured: Response | None = None) -> str:
     return ", ".join(texts) or "none"
 
 
-def _ratio(model: TransferFunction) -> str:
+def model_text(model: TransferFunction) -> str:
+    """A transfer function in s."""
     return f"({polynomial(model.numerator)}) / ({polynomial(model.denominator)})"
 
 
@@ -103,7 +101,7 @@ def fit_text(fit: Fit, measured: Response) -> str:
     late = f" with a delay of {1e3 * fit.delay:.3f} ms" if "delay" in fit.names else ""
     poles, zeros = (roots_text(bode.roots(part), measured) for part in (fit.model[1], fit.model[0]))
     lines = [
-        f"order {fit.order}: {_ratio(fit.model)}{late}",
+        f"order {fit.order}: {model_text(fit.model)}{late}",
         *_coefficients(fit, "  {0:6} {1:14.7g} ± {2:10.3g}  ({3:.2g} %)"),
         f"  static gain {fit.model.static_gain:.5f}{width} V/V; fit error {100 * fit.error:.3g} % rms{share}",
         f"  poles {poles}; zeros {zeros}",
@@ -112,33 +110,25 @@ def fit_text(fit: Fit, measured: Response) -> str:
     return "\n".join(lines)
 
 
-def _test_text(measured: Response, fits: tuple[Fit, ...]) -> list[str]:
-    relative = measured.deviation / np.abs(measured.value)
-    corners = rational.measured_corners(measured, fits[-1].model.static_gain)
-    frequency, coherence = measured.frequency, measured.coherence
-    return [
-        f"measured: {measured.method}, {len(frequency)} frequencies from {frequency[0]:.4g} to "
-        f"{frequency[-1]:.4g} Hz, uncertainty {100 * np.min(relative):.2g} to "
-        f"{100 * np.max(relative):.2g} %, coherence {np.min(coherence):.3f} to {np.max(coherence):.3f}; "
-        f"{corners_text(corners)}",
-        *(fit_text(fit, measured) for fit in fits),
-    ]
-
-
 def text(found: Identification) -> str:
     """The whole identification as the terminal shows it."""
-    known, rubbing, estimates = found.known, found.known.friction, found.known.theta
-    if found.measured is None:
+    known, rubbing, m = found.known, found.known.friction, found.measured
+    if m is None:
         corners = corners_text(bode.model_corners(known.model, known.delay))
-        lines = [found.source, _ratio(known.model), f"  {corners}"]
+        lines = [found.source, model_text(known.model), f"  {corners}"]
     else:
-        lines = [found.source, *_test_text(found.measured, found.fits)]
-    lines += [
-        f"for arc and oarc: theta_initial {estimates.initial}",
-        f"                  theta_min     {estimates.lower}",
-        f"                  theta_max     {estimates.upper}",
-    ]
-    if found.measured is not None:
+        relative = 100.0 * m.deviation / np.abs(m.value)
+        corners = corners_text(rational.measured_corners(m, known.model.static_gain))
+        lines = [
+            found.source,
+            f"measured: {m.method}, {len(m.frequency)} frequencies from {m.frequency[0]:.4g} to "
+            f"{m.frequency[-1]:.4g} Hz, uncertainty {np.min(relative):.2g} to {np.max(relative):.2g} %, "
+            f"coherence {np.min(m.coherence):.3f} to {np.max(m.coherence):.3f}; {corners}",
+            *(fit_text(fit, m) for fit in found.fits),
+        ]
+    for label, values in zip(("initial", "min    ", "max    "), known.theta, strict=True):
+        lines.append(f"{'for arc and oarc:' if label == 'initial' else '':17} theta_{label} {values}")
+    if m is not None:
         steps = f"steps of {1e3 * known.lvdt.resolution:.3g} mV" if known.lvdt.resolution else "no steps"
         lines.append(f"LVDT: noise {1e3 * known.lvdt.noise:.3g} mV, {steps}")
     if rubbing is not None:
@@ -167,28 +157,25 @@ def parameters(found: Identification) -> dict[str, Values]:
     if known.delay > 0.0:
         valve["lvdt.delay"] = known.delay
     if rubbing is not None:
-        valve["friction.coulomb"] = rubbing.coulomb
-        valve["friction.static_ratio"] = 1.0
-        valve["friction.presliding"] = rubbing.presliding
-        valve["disturbance.offset"] = rubbing.offset
+        valve |= {
+            "friction.coulomb": rubbing.coulomb,
+            "friction.static_ratio": 1.0,
+            "friction.presliding": rubbing.presliding,
+            "disturbance.offset": rubbing.offset,
+        }
     controller: Values = {
         "compensator.design": "designed",
         "compensator.model": "custom",
         "compensator.numerator": numerator,
         "compensator.denominator": denominator,
         "open_loop.static_gain": known.model.static_gain,
+        **{name: value for law in ADAPTIVE for name, value in known.theta.parameters(law).items()},
+        **found.gains,
     }
-    for law in ADAPTIVE:
-        controller.update(known.theta.parameters(law))
-    controller.update(found.gains)
-    return with_period({"valve_simulator": rounded(valve), "controller": rounded(controller)}, known.period)
-
-
-def with_period(tree: dict[str, Values], period: float) -> dict[str, Values]:
-    """``tree`` with the sample period [s] for all nodes, unless it is the default."""
-    if period == defaults(NODES["controller"])["sample_period"]:
-        return tree
-    return {"": rounded({"sample_period": period}), **tree}
+    tree = {"valve_simulator": rounded(valve), "controller": rounded(controller)}
+    if known.period != defaults(NODES["controller"])["sample_period"]:
+        tree[""] = rounded({"sample_period": known.period})  # of all nodes
+    return tree
 
 
 def check_parameters(tree: dict[str, Values]) -> None:
@@ -240,37 +227,33 @@ def parameter_file(tree: dict[str, Values], comments: list[str]) -> str:
     return as_yaml({f"/**/{node}" if node else "/**": values for node, values in tree.items()}, comments)
 
 
-def read_model(path: str) -> TransferFunction:
-    """The valve's model in a parameter file such as ``identify`` writes. Raises ParameterError."""
-    valve = load(path)["valve_simulator"]
-    if "valve" not in valve and "numerator" not in valve:
-        raise ParameterError(f"{path} has no valve model: neither 'valve' nor 'numerator' is in it")
-    return build.valve_model(updated(NODES["valve_simulator"], defaults(NODES["valve_simulator"]), valve))
+def model_dict(model: TransferFunction) -> dict[str, Any]:
+    """A transfer function for JSON."""
+    return {"numerator": list(model.numerator), "denominator": list(model.denominator)}
 
 
-def _corners_dict(found: Corners) -> dict[str, float | None]:
-    return {"minus_3db_hz": found.minus_3db, "minus_90_hz": found.minus_90}
+def corners_dict(corners: Corners) -> dict[str, float | None]:
+    """Frequencies of -3 dB and -90° for JSON."""
+    return {"minus_3db_hz": corners.minus_3db, "minus_90_hz": corners.minus_90}
 
 
 def fit_dict(fit: Fit, measured: Response) -> dict[str, Any]:
     """One fit to ``measured`` for JSON; a corner that the test did not excite is None."""
-    bounds = fit.bounds.tolist() if fit.bounded else [None] * len(fit.names)
+    *bounds, gain_bound = (
+        [*fit.bounds.tolist(), fit.gain_bound] if fit.bounded else [None] * (len(fit.names) + 1)
+    )
     rows = zip(fit.names, fit.values.tolist(), bounds, strict=True)
     return {
         "order": fit.order,
-        "numerator": list(fit.model.numerator),
-        "denominator": list(fit.model.denominator),
+        **model_dict(fit.model),
         "delay_s": fit.delay,
         "coefficients": {name: {"value": value, "bound": bound} for name, value, bound in rows},
-        "static_gain": {
-            "value": fit.model.static_gain,
-            "bound": fit.gain_bound if fit.bounded else None,
-        },
+        "static_gain": {"value": fit.model.static_gain, "bound": gain_bound},
         "poles": [root._asdict() for root in bode.roots(fit.model.denominator)],
         "zeros": [root._asdict() for root in bode.roots(fit.model.numerator)],
         "error": fit.error,
         "model_error": fit.model_error,
-        **_corners_dict(_corners(fit, measured)),
+        **corners_dict(_corners(fit, measured)),
     }
 
 
@@ -280,11 +263,10 @@ def as_dict(found: Identification) -> dict[str, Any]:
     about: dict[str, Any] = {"source": found.source, "sample_period": known.period, "u_max": known.u_max}
     if m is None:
         about["model"] = {
-            "numerator": list(known.model.numerator),
-            "denominator": list(known.model.denominator),
+            **model_dict(known.model),
             "delay_s": known.delay,
             "static_gain": known.model.static_gain,
-            **_corners_dict(bode.model_corners(known.model, known.delay)),
+            **corners_dict(bode.model_corners(known.model, known.delay)),
         }
     else:
         about["response"] = {
@@ -294,18 +276,21 @@ def as_dict(found: Identification) -> dict[str, Any]:
             "imaginary": m.value.imag,
             "deviation": m.deviation,
             "coherence": m.coherence,
-            **_corners_dict(rational.measured_corners(m, known.model.static_gain)),
+            **corners_dict(rational.measured_corners(m, known.model.static_gain)),
         }
         about["fits"] = [fit_dict(fit, m) for fit in found.fits]
         about["best_order"] = found.fits[-1].order
-    estimates = known.theta
-    about["theta"] = {"initial": estimates.initial, "min": estimates.lower, "max": estimates.upper}
-    about["lvdt"] = known.lvdt._asdict()
-    if known.friction is not None:
-        about["friction"] = known.friction._asdict()
-    if found.curve is not None:
-        about["characteristic"] = characteristic.as_dict(found.curve)
+    about["theta"] = dict(zip(("initial", "min", "max"), known.theta, strict=True))
+    parts = {"lvdt": known.lvdt, "friction": known.friction, "characteristic": found.curve}
+    about |= {name: plain(part) for name, part in parts.items() if part is not None}
     return {**about, "gains": found.gains, "notes": list(found.notes)}
+
+
+def plain(value: Any) -> Any:
+    """``value`` with a dict in place of each record in it, for JSON."""
+    return (
+        {name: plain(part) for name, part in value._asdict().items()} if hasattr(value, "_asdict") else value
+    )
 
 
 def bode_figure(found: Identification, path: str) -> bytes:

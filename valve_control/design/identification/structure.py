@@ -21,13 +21,15 @@ FORMS = ((2, 0), (3, 0), (3, 1), (4, 1), (4, 2))  # poles and zeros
 NEAR = 6.0  # of the criterion, within which the simplest candidate counts
 
 
-def choose(measured: Response, delayed: bool = False) -> Fit:
+def choose(measured: Response, delayed: bool = False, order: int | None = None) -> Fit:
     """The simplest of the candidates nearest to ``measured``; ``delayed``: with a dead time in any case.
 
-    Candidates with more unknowns are tried until noise alone explains what one leaves. One whose
-    coefficients are not in the data gives way to the next best. Raises ParameterError if none is left.
+    With an ``order`` only the dead time is chosen; there are two more poles than zeros then. Candidates with
+    more unknowns are tried until noise alone explains what one leaves. One whose coefficients are not in the
+    data gives way to the next best. Raises ParameterError if none is left.
     """
-    forms = [(*form, late) for form in FORMS for late in ((True,) if delayed else (False, True))]
+    shapes = FORMS if order is None else ((order, order - 2),)
+    forms = [(*shape, late) for shape in shapes for late in ((True,) if delayed else (False, True))]
     tried: list[tuple[tuple[int, int, bool], Fit]] = []
     refusals: list[ParameterError] = []
     for _, level in groupby(sorted(forms, key=sum), key=sum):  # the number of unknowns, less 1
@@ -46,7 +48,7 @@ def choose(measured: Response, delayed: bool = False) -> Fit:
         tried = [one for one in tried if one is not best]
         try:
             check_worth(best[1])
-            if is_clear(best[1]):
+            if order is not None or is_clear(best[1]):
                 return best[1]
         except ParameterError as error:
             refusals.append(error)
