@@ -53,7 +53,7 @@ def modes_of(path):
 def sample_modes(result, count):
     """Mode of each sample as the analysis counts it."""
     valve = result.valves["valve"]
-    found = [int(s.interval.mode) for s in valve.spells for _ in range(s.samples)]
+    found = [int(s.mode) for s in valve.spells for _ in range(s.samples)]
     assert len(found) == count
     return np.array(found)
 

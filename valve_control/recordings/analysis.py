@@ -36,38 +36,46 @@ from valve_control.recordings.recording import (
     align,
     at_time,
 )
+from valve_control.recordings.report import plain
 
 EPOCH = 10**17  # ns; a table whose times begin before it (1973) has its own zero
 NONE = Indices(np.nan, np.nan, np.nan, np.nan, np.nan)
 
 
 class Part(NamedTuple):
-    """One segment of a run, with its indices."""
+    """One segment of a run with its indices, as in JSON."""
 
-    segment: Segment
-    controller: str
+    kind: str  # run, motion or parameters
+    name: str
+    start_s: float
+    end_s: float  # of the last sample
+    samples: int
+    controller: str | None
+    change: str | None  # what was changed at its beginning
     indices: Indices
-    change: str  # what was changed at its beginning, "" if nothing
-    time_in: dict[str, float]  # s, by each mode but ok that there was
-    without_safe: Indices  # of what is not safe (nor inactive or unknown); NONE where nothing is left
-    only_ok: Indices  # likewise, of what is ok
+    not_ok_s: dict[str, float]  # by each mode but ok that there was
+    indices_without_safe: Indices  # of what is not safe, inactive or unknown; NONE where nothing is left
+    indices_only_ok: Indices  # likewise, of what is ok
 
 
 class Spell(NamedTuple):
-    """Stretch of time [s] in which the controller was in one mode."""
+    """Stretch of time in which the controller was in one mode, as in JSON."""
 
-    interval: Interval
-    start: float  # s
-    end: float  # s
+    mode: Mode
+    start_s: float
+    end_s: float
+    duration_s: float
     samples: int  # of the run
+    reasons: tuple[str, ...]
     listed: bool  # whether the run has anything of it
 
 
 class Period(NamedTuple):
-    """Period of the LVDT readings, compared with the controller's."""
+    """Period of the LVDT readings, compared with the controller's, as in JSON."""
 
-    measured: float  # s, NaN if there are too few readings, or in lockstep
-    wanted: float | None  # s, sample_period at the beginning, None if it is not recorded
+    measured_s: float  # NaN if there are too few readings, or in lockstep
+    sample_period_s: float | None  # at the beginning, None if it is not recorded
+    deviation: float | None
     differs: bool  # by more than jitter and lost readings explain
 
 
@@ -131,40 +139,31 @@ def _analyze_valve(valve: ValveRecording) -> ValveAnalysis:
     spectra_notes: list[str] = []
     measured = _period(valve)
     empty = Spectrum(np.empty(0), np.empty(0))
-    error_spectrum = voltage_spectrum = empty
+    of_error = of_voltage = empty
     if signals is not None and len(signals.time) > 1:
-        period = measured.measured if measured.differs else signals.period
-        if measured.differs and measured.wanted:
+        period = measured.measured_s if measured.differs else signals.period
+        if measured.differs and measured.sample_period_s:
             spectra_notes.append(
-                f"{valve.name}: LVDT readings come every {1e3 * measured.measured:.4g} ms, sample_period is "
-                f"{1e3 * measured.wanted:.4g} ms; motions, e_F and spectra reckon with {1e3 * period:.4g} ms"
+                f"{valve.name}: LVDT readings come every {1e3 * period:.4g} ms, sample_period is "
+                f"{1e3 * measured.sample_period_s:.4g} ms; motions, e_F and spectra reckon with "
+                f"{1e3 * period:.4g} ms"
             )
-        told = of_samples(valve.modes, signals.stamp, signals.period) if valve.modes else None
-        spells = _spells(valve.modes, signals, told)
-        modes = None if told is None else np.array([part.mode for part in valve.modes])[told]
+        modes = None
+        if valve.modes:
+            interval = of_samples(valve.modes, signals.stamp, signals.period)
+            spells = _spells(valve.modes, signals, interval)
+            modes = np.array([part.mode for part in valve.modes])[interval]
         parts = _parts(valve, signals, name, period, modes)
         if times["spool_position"].gaps and not valve.lockstep:
             spectra_notes.append(f"{valve.name}: spectra take the readings as evenly spaced, over gaps too")
         left_out += spectra_notes
-        error = signals.measurement - signals.command
-        if np.all(np.isfinite(error)):
-            error_spectrum = spectrum(error, period)
-        if np.all(np.isfinite(signals.voltage)):
-            voltage_spectrum = spectrum(signals.voltage, period)
+        both = (signals.measurement - signals.command, signals.voltage)
+        of_error, of_voltage = (spectrum(s, period) if np.isfinite(s).all() else empty for s in both)
     return ValveAnalysis(
-        valve=valve,
-        signals=signals,
-        timing=times,
-        recorded_after=recorded_after,
-        controller=name,
-        parts=parts,
-        spells=spells,
-        period=measured,
-        error_spectrum=error_spectrum,
-        voltage_spectrum=voltage_spectrum,
-        spectra_notes=spectra_notes,
-        left_out=left_out,
-    )
+        valve, signals, times, recorded_after, name, parts, spells, measured, of_error, of_voltage,
+        spectra_notes,
+        left_out,
+    )  # fmt: skip
 
 
 def _period(valve: ValveRecording) -> Period:
@@ -175,28 +174,28 @@ def _period(valve: ValveRecording) -> Period:
         changes = [change.time for change in valve.controller.changes if "sample_period" in change.values]
     readings = valve.recorded.get("spool_position")
     if valve.lockstep or readings is None:
-        return Period(np.nan, wanted, False)
+        return Period(np.nan, wanted, None, False)
     count = int(np.searchsorted(readings.time, changes[0])) if changes else len(readings.time)
     time, sequence = readings.time[: count or None], readings.sequence[: count or None]
     measured = true_period(time, sequence)
-    if wanted is None or not np.isfinite(measured):
-        return Period(measured, wanted, False)
+    if not wanted or not np.isfinite(measured):
+        return Period(measured, wanted, None, False)
     # Without numbers losses look like a longer period; they leave the usual interval as it is.
     usual = measured if lost_messages(sequence) is not None else float(np.median(np.diff(time))) * 1e-9
     away, usually_away = measured / wanted - 1.0, usual / wanted - 1.0
-    return Period(measured, wanted, abs(away) > DEVIATION and usually_away * np.sign(away) > 0.5 * abs(away))
+    differs = abs(away) > DEVIATION and usually_away * np.sign(away) > 0.5 * abs(away)
+    return Period(measured, wanted, away, bool(differs))
 
 
-def _spells(modes: list[Interval], signals: Aligned, told: npt.NDArray[np.int64] | None) -> list[Spell]:
-    if told is None:
-        return []
-    counts = np.bincount(told, minlength=len(modes)).tolist()
+def _spells(modes: list[Interval], signals: Aligned, interval: npt.NDArray[np.int64]) -> list[Spell]:
+    counts = np.bincount(interval, minlength=len(modes)).tolist()
     answered = int(signals.stamp[0]) + round(signals.period * 1e9)
-    return [
-        Spell(part, at_time(signals, part.start), at_time(signals, part.end), count, count > 0 or late)
-        for part, count in zip(modes, counts, strict=True)
-        for late in (part.end > answered,)
-    ]
+    spells = []
+    for part, count in zip(modes, counts, strict=True):
+        start, end = at_time(signals, part.start), at_time(signals, part.end)
+        listed = count > 0 or part.end > answered
+        spells.append(Spell(part.mode, start, end, end - start, count, part.reasons, listed))
+    return spells
 
 
 def controller_name(valve: ValveRecording) -> str:
@@ -281,7 +280,11 @@ def _part(
         if time_in:
             kept = [segment_indices(signals, segment, period, inside <= m) for m in (Mode.DEGRADED, Mode.OK)]
     law = _law_at(name, changes, int(signals.stamp[segment.start]))
-    return Part(segment, law, whole, change, time_in, *kept)
+    start, end = float(signals.time[segment.start]), float(signals.time[segment.end - 1])
+    return Part(
+        segment.kind, segment.name, start, end, segment.end - segment.start, law or None, change or None,
+        whole, time_in, *kept,
+    )  # fmt: skip
 
 
 def _law_at(name: str, changes: list[Change], stamp: int) -> str:
@@ -326,8 +329,8 @@ def about_bag(result: Analysis) -> dict[str, Any]:
         "compression": bag.compression or None,
         "files": bag.files,
         "bytes": bag.size,
-        "version": bag.version,
-        "distribution": bag.distribution or None,
+        "version": bag.listing.version,
+        "distribution": bag.listing.distribution or None,
         "start": f"{begin * 1e-9:.6g} s"
         if bag.table is not None and begin < EPOCH
         else datetime.datetime.fromtimestamp(begin * 1e-9, datetime.UTC).isoformat(),
@@ -349,31 +352,36 @@ def as_dict(result: Analysis) -> dict[str, Any]:
 def _valve_dict(result: ValveAnalysis) -> dict[str, Any]:
     valve, signals = result.valve, result.signals
     theta = estimates(valve.state)
-    return {
-        "controller": result.controller or None,
-        "sample_period_s": signals.period if signals is not None else None,
-        "sources": {part: str(source) for part, source in valve.topics.sources.items()},
-        "indices": result.parts[0].indices._asdict() if result.parts else None,
-        "segments": [_part_dict(part, signals) for part in result.parts if signals is not None],
-        "modes": modes_dict(result),
-        "lvdt_period": _period_dict(result.period),
-        "timing": {
-            part: {**entry._asdict(), "jitter_s": entry.jitter_s._asdict()}
-            for part, entry in result.timing.items()
-        },
-        "latency_s": spread(signals.latency)._asdict() if signals is not None else None,
-        "unanswered": signals.unanswered if signals is not None else None,
-        "recorded_after_s": result.recorded_after,
-        "theta": [float(values[np.isfinite(values)][-1]) for values in theta.values()] if theta else None,
-        "lyapunov_over_bound": guarantee_use(valve.state),
-        "parameters": {node.name: {"kind": node.kind, "initial": node.initial} for node in result.nodes},
-        "changes": [
-            {"time_s": _since(change.time, signals), "node": node.name, "values": change.values}
-            for node in result.nodes
-            for change in node.changes
-        ],
-        "left_out": result.left_out,
-    }
+    about: dict[str, Any] = plain(
+        {
+            "controller": result.controller or None,
+            "sample_period_s": signals.period if signals is not None else None,
+            "sources": {part: str(source) for part, source in valve.topics.sources.items()},
+            "indices": result.parts[0].indices if result.parts else None,
+            "segments": result.parts,
+            "modes": modes_dict(result),
+            "lvdt_period": result.period,
+            "timing": result.timing,
+            "latency_s": spread(signals.latency) if signals is not None else None,
+            "unanswered": signals.unanswered if signals is not None else None,
+            "recorded_after_s": result.recorded_after,
+            "theta": [float(values[np.isfinite(values)][-1]) for values in theta.values()] if theta else None,
+            "lyapunov_over_bound": guarantee_use(valve.state),
+            "parameters": {node.name: {"kind": node.kind, "initial": node.initial} for node in result.nodes},
+            "changes": [
+                {
+                    "time_s": None if signals is None else at_time(signals, change.time),
+                    "node": node.name,
+                    "values": change.values,
+                }
+                for node in result.nodes
+                for change in node.changes
+            ],
+            "left_out": result.left_out,
+        }
+    )
+    del about["lvdt_period"]["differs"]
+    return about
 
 
 def modes_dict(result: ValveAnalysis) -> dict[str, Any] | None:
@@ -382,60 +390,21 @@ def modes_dict(result: ValveAnalysis) -> dict[str, Any] | None:
         return None
     run = result.parts[0]
     listed = [spell for spell in result.spells if spell.listed]
-    total = max(listed[-1].end, 0.0) if listed else 0.0
+    total = max(listed[-1].end_s, 0.0) if listed else 0.0
     about: dict[str, Any] = {}
     for mode in Mode:
-        own = [spell for spell in listed if spell.interval.mode is mode]
-        duration = sum(spell.end - max(spell.start, 0.0) for spell in own)
+        own = [spell for spell in listed if spell.mode is mode]
+        duration = sum(spell.end_s - max(spell.start_s, 0.0) for spell in own)
         about[mode.name.lower()] = {
             "intervals": len(own),
             "duration_s": duration,
             "share": duration / total if total > 0.0 else None,
             "samples": sum(spell.samples for spell in own),
         }
+    spells = [spell for spell in result.spells if spell.mode is not Mode.OK]
     about["intervals"] = [
-        {
-            "mode": spell.interval.mode.name.lower(),
-            "start_s": spell.start,
-            "end_s": spell.end,
-            "duration_s": spell.end - spell.start,
-            "samples": spell.samples,
-            "reasons": list(spell.interval.reasons),
-        }
-        for spell in result.spells
-        if spell.interval.mode is not Mode.OK
+        dict(zip(Spell._fields[:-1], (spell.mode.name.lower(), *spell[1:-1]), strict=True))
+        for spell in spells
     ]
-    about["indices_without_safe"] = run.without_safe._asdict()
-    about["indices_only_ok"] = run.only_ok._asdict()
+    about["indices_without_safe"], about["indices_only_ok"] = run.indices_without_safe, run.indices_only_ok
     return about
-
-
-def _period_dict(period: Period) -> dict[str, Any]:
-    return {
-        "measured_s": period.measured,
-        "sample_period_s": period.wanted,
-        "deviation": period.measured / period.wanted - 1.0
-        if period.wanted and np.isfinite(period.measured)
-        else None,
-    }
-
-
-def _since(stamp: int, signals: Aligned | None) -> float | None:
-    return None if signals is None else at_time(signals, stamp)
-
-
-def _part_dict(part: Part, signals: Aligned) -> dict[str, Any]:
-    segment = part.segment
-    return {
-        "kind": segment.kind,
-        "name": segment.name,
-        "start_s": float(signals.time[segment.start]),
-        "end_s": float(signals.time[segment.end - 1]),
-        "samples": segment.end - segment.start,
-        "controller": part.controller or None,
-        "change": part.change or None,
-        "indices": part.indices._asdict(),
-        "not_ok_s": part.time_in,
-        "indices_without_safe": part.without_safe._asdict(),
-        "indices_only_ok": part.only_ok._asdict(),
-    }

@@ -10,6 +10,7 @@ from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags.bag import Bag, Series
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import unusable
+from valve_control.recordings.report import Notes, Piece
 
 GOAL, JOINTS, ROOMS = "axis_goal", "joint_states", ("pressure_a", "pressure_b")
 NANO = 10**9
@@ -120,13 +121,15 @@ def as_dict(axis: Axis) -> dict[str, Any]:
     }
 
 
-def lines(name: str, axis: Axis) -> list[str]:
-    """The same for a terminal."""
-    result = [
-        f"axis {name or '/'}: {axis.readings} readings over {axis.duration:.3f} s, "
+def pieces(axis: Axis) -> list[Piece]:
+    """The same for a report."""
+    return [
+        f"{axis.readings} readings over {axis.duration:.3f} s, "
         f"e_rms {1e3 * axis.e_rms:.4f} mm, e_max {1e3 * axis.e_max:.4f} mm, "
-        f"at the end {1e3 * axis.e_end:.4f} mm, up to {axis.speed_max:.3g} m/s"
+        f"at the end {1e3 * axis.e_end:.4f} mm, up to {axis.speed_max:.3g} m/s",
+        *(
+            f"{room}: {1e-5 * low:.4g} to {1e-5 * high:.4g} bar"
+            for room, (low, high) in axis.pressures.items()
+        ),
+        Notes(axis.left_out),
     ]
-    for room, (low, high) in axis.pressures.items():
-        result.append(f"    {room}: {1e-5 * low:.4g} to {1e-5 * high:.4g} bar")
-    return result + [f"    note: {note}" for note in axis.left_out]

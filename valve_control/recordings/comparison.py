@@ -9,44 +9,36 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from valve_control.control.analysis.figures import COLOURS, Line, Plot, Trace, draw_traces
-from valve_control.control.analysis.indices import Indices
 from valve_control.control.analysis.overlay import TimedSignal, shift
-from valve_control.control.analysis.tables import HEADER, index_row
-from valve_control.recordings.analysis import NONE, Analysis, modes_dict
+from valve_control.recordings.analysis import NONE, Analysis, ValveAnalysis, modes_dict
 from valve_control.recordings.analysis_report import time_in
 from valve_control.recordings.recording import Aligned
-from valve_control.recordings.report import Figure, Notes, Report, index_table, noted
+from valve_control.recordings.report import Figure, Notes, Report, index_table, plain
 
 
 class BagRun(NamedTuple):
     """One valve of one bag, with its results."""
 
     name: str  # bag and valve
-    controller: str
-    indices: Indices
-    signals: Aligned | None
+    valve: ValveAnalysis
     left_out: list[str]
-    only_ok: Indices  # of what the controller did in the mode ok
-    time_in: dict[str, float]  # s in the other modes
-    modes: dict[str, Any] | None  # for JSON
     shift: float | None = None  # s, to lie over the first run; None without readings
     by: str = ""  # what shows that
+
+    @property
+    def signals(self) -> Aligned | None:
+        """Its signals, None without readings."""
+        return self.valve.signals
 
 
 def runs(path: str, analysis: Analysis) -> list[BagRun]:
     """The valves of a bag."""
     bag = Path(path).stem if Path(path).is_file() else Path(path).resolve().name
-    many = len(analysis.valves) > 1
     return [
         BagRun(
-            name=f"{bag}/{name}" if many else bag,
-            controller=valve.controller,
-            indices=valve.parts[0].indices if valve.parts else NONE,
-            signals=valve.signals,
+            name=f"{bag}/{name}" if len(analysis.valves) > 1 else bag,
+            valve=valve,
             left_out=[f"{bag}: {text}" for text in (*analysis.left_out, *valve.left_out)],
-            only_ok=valve.parts[0].only_ok if valve.parts else NONE,
-            time_in=valve.parts[0].time_in if valve.parts else {},
-            modes=modes_dict(valve),
         )
         for name, valve in analysis.valves.items()
     ]
@@ -95,16 +87,20 @@ def labels(names: Sequence[str]) -> list[str]:
 
 def as_dict(name: str, run: BagRun) -> dict[str, Any]:
     """One run for JSON."""
-    return {
-        "name": name,
-        "controller": run.controller or None,
-        "indices": run.indices._asdict(),
-        "indices_only_ok": run.only_ok._asdict(),
-        "modes": run.modes,
-        "shift_s": run.shift,
-        "overlaid_by": run.by or None,
-        "left_out": run.left_out,
-    }
+    whole = run.valve.parts[0] if run.valve.parts else None
+    about: dict[str, Any] = plain(
+        {
+            "name": name,
+            "controller": run.valve.controller or None,
+            "indices": whole.indices if whole is not None else NONE,
+            "indices_only_ok": whole.indices_only_ok if whole is not None else NONE,
+            "modes": modes_dict(run.valve),
+            "shift_s": run.shift,
+            "overlaid_by": run.by or None,
+            "left_out": run.left_out,
+        }
+    )
+    return about
 
 
 def draw(path: Path, runs: Sequence[BagRun]) -> None:
@@ -125,16 +121,13 @@ def report(runs: Sequence[BagRun]) -> Report:
     """Report of runs that are not overlaid yet, with indices and notes of each."""
     runs = overlaid(runs)
     names = labels([run.name for run in runs])
-    width = max(14, *(len(name) + 2 for name in names))
-    lines = [" " * (width - 14) + HEADER]
     rows, positions, errors, voltages = [], [], [], []
     for i, (name, run) in enumerate(zip(names, runs, strict=True)):
-        remark = time_in(run.time_in)
-        lines.append(index_row(f"{name:{width}}", run.indices) + (f"  {remark}" if remark else ""))
-        rows.append((name, run.controller, run.indices, remark))
-        if remark:
-            lines.append(index_row(f"{'  only ok':{width}}", run.only_ok))
-            rows.append((f"{name}, only ok", run.controller, run.only_ok, ""))
+        for whole in run.valve.parts[:1]:
+            remark = time_in(whole.not_ok_s)
+            rows.append((name, run.valve.controller, whole.indices, remark))
+            if remark:
+                rows.append((f"{name}, only ok", run.valve.controller, whole.indices_only_ok, ""))
         if run.signals is None or run.shift is None:
             continue
         s, colour = run.signals, COLOURS[i % len(COLOURS)]
@@ -144,13 +137,11 @@ def report(runs: Sequence[BagRun]) -> Report:
         errors.append(Line(name, time, s.measurement - s.command, colour))
         voltages.append(Line(name, time, s.voltage, colour))
     plots = [Plot("spool position [V]", positions), Plot("error [V]", errors), Plot("voltage [V]", voltages)]
-    notes, shifts = [text for run in runs for text in run.left_out], moves(names, runs)
     return Report(
         "valve_control: bags compared",
-        [*lines, *shifts, *noted(notes)],
         {"runs": [as_dict(name, run) for name, run in zip(names, runs, strict=True)]},
         {
-            "Indices": [index_table(rows), Notes(notes)],
-            "Signals, overlaid by their motion": [Notes(shifts), Figure(plots)],
+            "Indices": [index_table(rows), Notes([text for run in runs for text in run.left_out])],
+            "Signals, overlaid by their motion": [*moves(names, runs), Figure(plots)],
         },
     )

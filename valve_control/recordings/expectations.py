@@ -42,11 +42,8 @@ def figures(valve: Mapping[str, Any]) -> dict[str, float | None]:
         elif value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)):
             flat[prefix] = value
 
-    for key in ("indices", "timing", "latency_s", "recorded_after_s"):
-        add(key, valve[key] or {})
-    for key in ("unanswered", "lyapunov_over_bound", "sample_period_s"):
-        flat[key] = valve[key]
-    flat.update(valve["indices"] or dict.fromkeys(("e_M", "e_F", "e_rms", "u_rms", "c_u")))
+    add("", valve)
+    add("", valve["indices"] or dict.fromkeys(("e_M", "e_F", "e_rms", "u_rms", "c_u")))
     return flat
 
 

@@ -6,18 +6,18 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from valve_control.control.drivers.scaling import Scale, ScaleError, parse
+from valve_control.control.drivers.scaling import Scale
 from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.bags.cdr import Decoder, normal
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.tables import empty_notes, take_times, topic_of
+from valve_control.recordings.bags.messages import absolute
+from valve_control.recordings.tables import column_of, empty_notes, scaled, take_times
 
 PARTS = ("spool_command", "spool_position", "valve_voltage")
 TRAJECTORY = "spool_trajectory"  # plays the part of the command where there are no others
 POSITION = "positions[0]"
 ONLY = "valve"  # name of a valve whose topics stand in no namespace
 STATE_TYPE = "std_msgs/msg/Float64MultiArray"
-SCALED = re.compile(r"(?P<source>[^*@]+)(?:@(?P<word>.+)|(?P<formula>\*.+))?")
 
 
 class Source(NamedTuple):
@@ -53,25 +53,11 @@ class ValveTopics(NamedTuple):
         return all(str(source) in own[part] for part, source in self.sources.items())
 
 
-def parse_map(text: str) -> tuple[str, str, Source]:
-    """``[valve/]part=/topic[.field][*factor±offset or @word]`` as valve, part and source. Raises BagError."""
-    valve, part, right = _role(text)
-    scaled = SCALED.fullmatch(right)
-    try:
-        if scaled is None:
-            raise ScaleError("a scale follows its topic, as in /topic.field*1.25-15 or /topic.field@4..20mA")
-        scale = parse(scaled["word"] or scaled["formula"] or "*1")
-    except ScaleError as error:
-        raise BagError(f"--map {text}: {error}") from None
-    source = scaled["source"].strip()
-    topic, _, field = source.partition(".")
-    topic = topic if topic.startswith("/") else f"/{topic}"
-    normal(field or "data")
-    return valve, part, Source(topic, field or "data", scale)
+def _mapped(bag: Bag, text: str) -> tuple[str, str, Source]:
+    """Valve, part and source of the map ``[valve/]part=/topic[.field][*factor±offset or @word]``.
 
-
-def _role(text: str) -> tuple[str, str, str]:
-    """Valve and part that the map ``text`` names, and what it gives them. Raises BagError."""
+    Of a table a column stands in place of topic and field. Raises BagError.
+    """
     left, equals, right = text.partition("=")
     valve, _, part = left.strip().rpartition("/")
     if not equals or part not in PARTS or not right.strip():
@@ -79,16 +65,14 @@ def _role(text: str) -> tuple[str, str, str]:
             "--map takes part=/topic.field with part spool_command, spool_position or valve_voltage, "
             f"not '{text}' (of a table: part=COLUMN, and time=COLUMN)"
         )
-    return valve if valve.strip("/") == ONLY else valve.strip("/") or ONLY, part, right.strip()
-
-
-def _mapped(bag: Bag, text: str) -> tuple[str, str, Source]:
-    """Valve, part and source in ``bag`` that the map ``text`` names. Raises BagError."""
-    valve, part, right = _role(text)
+    valve = valve if valve.strip("/") == ONLY else valve.strip("/") or ONLY
     if bag.table is not None:
-        topic, scale = topic_of(bag.table, text)
-        return valve, part, Source(topic, "data", scale)
-    return parse_map(text)
+        column, scale = column_of(bag.table, text)
+        return valve, part, Source(bag.table.topics[bag.table.column(column)].name, "data", scale)
+    source, scale = scaled(text)
+    topic, _, field = source.partition(".")
+    normal(field or "data")
+    return valve, part, Source(absolute(topic), field or "data", scale)
 
 
 def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
@@ -103,30 +87,25 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     for name in bag.topics:
         namespace, _, part = name.rpartition("/")
         if part in PARTS:
-            found = Source(name, "data")
-            wrong = "" if bag.topics[name].unreadable else _wrong_field(bag, found)
-            if wrong:
+            if wrong := _wrong_field(bag, Source(name, "data")):
                 left_out.append(f"{wrong}; it is left out")
             else:
-                sources.setdefault(_name(namespace), {})[part] = found
+                sources.setdefault(_name(namespace), {})[part] = Source(name, "data")
     for name in bag.topics:
         namespace, _, part = name.rpartition("/")
         parts = sources.get(_name(namespace), {})
-        commands = parts.get("spool_command")
-        if part != TRAJECTORY or not parts or not _spoken(bag, name):
-            continue
-        if (commands is None or not _spoken(bag, commands.topic)) and (
-            bag.topics[name].unreadable or not _wrong_field(bag, Source(name, POSITION))
-        ):
-            parts["spool_command"] = Source(name, POSITION)
+        if part == TRAJECTORY and parts and _spoken(bag, name):
+            command = parts.get("spool_command")
+            silent = command is None or not _spoken(bag, command.topic)
+            if silent and not _wrong_field(bag, Source(name, POSITION)):
+                parts["spool_command"] = Source(name, POSITION)
     mapped: dict[tuple[str, str], str] = {}
     for text in maps:
         valve, part, source = _mapped(bag, text)
         if mapped.setdefault((valve, part), text) != text:
             before = mapped[valve, part]
             raise BagError(f"--map {text}: {part} of {valve} is mapped already, by --map {before}")
-        wrong = "" if bag.topic(source.topic).unreadable else _wrong_field(bag, source)
-        if wrong:
+        if wrong := _wrong_field(bag, source):
             raise BagError(wrong)
         sources.setdefault(valve, {})[part] = source
     unreadable = {
@@ -134,11 +113,9 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     } - {""}
     if unreadable:
         raise BagError(f"{bag.path}: {'; '.join(sorted(unreadable))}")
-    if left_out and not sources:
-        raise BagError(f"{bag.path} has no topic of a valve that can be read: {'; '.join(left_out)}")
-    bag.problems += left_out
     if not sources:
-        raise BagError(_nothing(bag))
+        raise BagError(_nothing(bag, left_out))
+    bag.problems += left_out
     if bag.table is not None:
         used = [source.topic for parts in sources.values() for source in parts.values()]
         bag.problems += empty_notes(bag.table, used)
@@ -148,17 +125,16 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     }
 
 
-def _nothing(bag: Bag) -> str:
+def _nothing(bag: Bag, left_out: Sequence[str]) -> str:
     """That no topic plays the part of a signal, and which could."""
+    if left_out:
+        return f"{bag.path} has no topic of a valve that can be read: {'; '.join(left_out)}"
+    kind, has, example = "", ", ".join(f"{t.name} ({t.type})" for t in bag.topics.values()), "/topic.field"
     if bag.table is not None:
-        return (
-            f"{bag.path} has no column spool_command, spool_position or valve_voltage; it has "
-            f"{bag.table.listed}; name the columns that play their parts with --map spool_position=COLUMN"
-        )
-    topics = ", ".join(f"{t.name} ({t.type})" for t in bag.topics.values())
+        kind, has, example = "column ", bag.table.listed, "COLUMN"
     return (
-        f"{bag.path} has no spool_command, spool_position or valve_voltage; it has {topics}; name what "
-        "plays their parts with --map spool_position=/topic.field"
+        f"{bag.path} has no {kind}spool_command, spool_position or valve_voltage; it has {has}; name what "
+        f"plays their parts with --map spool_position={example}"
     )
 
 
@@ -188,8 +164,10 @@ def _spoken(bag: Bag, topic: str) -> bool:
 
 
 def _wrong_field(bag: Bag, source: Source) -> str:
-    """Why ``source`` is no number in its topic's messages, "" if it is one in any of them."""
+    """Why ``source`` is no number in its topic's messages; "" if it is one in any, or none can be read."""
     topic = bag.topic(source.topic)
+    if topic.unreadable:
+        return ""
     try:
         decoder = Decoder(topic, [source.field])
     except BagError as reason:

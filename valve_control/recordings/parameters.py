@@ -14,17 +14,14 @@ TOPIC = "/parameter_events"
 TYPE = "rcl_interfaces/msg/ParameterEvent"
 # A parameter by which a node of this package is known, whatever its name.
 MARKS = {"controller": "arc.k1", "valve_simulator": "friction.coulomb", "command_source": "scenario"}
-FIELDS = {
-    1: "bool_value",
-    2: "integer_value",
-    3: "double_value",
-    4: "string_value",
-    5: "byte_array_value",
-    6: "bool_array_value",
-    7: "integer_array_value",
-    8: "double_array_value",
-    9: "string_array_value",
-}
+# Values of a ParameterValue by its type from 1.
+FIELDS = [
+    f"{kind}_value"
+    for kind in (
+        "bool", "integer", "double", "string", "byte_array", "bool_array", "integer_array", "double_array",
+        "string_array",
+    )
+]  # fmt: skip
 
 
 class Change(NamedTuple):
@@ -91,10 +88,12 @@ def history(events: Series | None, problems: list[str]) -> dict[str, Node]:
         values = {
             p.name: _plain(p.value)
             for p in (*event.new_parameters, *event.changed_parameters)
-            if p.value.type in FIELDS
+            if 0 < p.value.type <= len(FIELDS)
         }
         before = seen.setdefault(event.node, {})
-        differs = {name: value for name, value in values.items() if before.get(name, _Nothing) != value}
+        differs = {
+            name: value for name, value in values.items() if name not in before or before[name] != value
+        }
         node = nodes.setdefault(event.node, Node(event.node, "", {}, []))
         if not node.kind:
             node = nodes[event.node] = node._replace(kind=_kind(event.node, values))
@@ -111,17 +110,9 @@ def history(events: Series | None, problems: list[str]) -> dict[str, Node]:
     return nodes
 
 
-class _Nothing:
-    """Value that differs from every other."""
-
-
 def _plain(value: Any) -> Any:
-    got = getattr(value, FIELDS[value.type])
-    return got if isinstance(got, (bool, int, float, str)) else [_scalar(entry) for entry in got]
-
-
-def _scalar(entry: Any) -> Any:
-    return entry if isinstance(entry, str) else entry.item() if hasattr(entry, "item") else entry
+    got = getattr(value, FIELDS[value.type - 1])
+    return got.tolist() if hasattr(got, "tolist") else got
 
 
 def _kind(name: str, values: Mapping[str, Any]) -> str:

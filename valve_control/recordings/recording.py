@@ -20,7 +20,7 @@ from valve_control.recordings.bags.cdr import Decoder, deserialized
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.cleaning import clean, seconds
 from valve_control.recordings.clocks import Clock, decide, of_table, without_strays
-from valve_control.recordings.mapping import STATE_TYPE, ValveTopics, find_valves
+from valve_control.recordings.mapping import PARTS, STATE_TYPE, ValveTopics, find_valves
 from valve_control.recordings.pairing import Samples
 
 ESTIMATES = ("a1", "a0", "b0", "b0dn")
@@ -107,68 +107,6 @@ class Recording(NamedTuple):
     clock: Clock  # of all times
 
 
-def _wanted(
-    bag: Bag, topics: Mapping[str, ValveTopics], journals: bool
-) -> tuple[dict[str, list[str]], set[str], set[str], list[str]]:
-    """Fields to read by topic, then the topics of states, of whole messages and of diagnostics."""
-    wanted: dict[str, list[str]] = {}
-    states = {valve.state for valve in topics.values() if valve.state}
-    for valve in topics.values():
-        for source in valve.sources.values():
-            wanted.setdefault(source.topic, [])
-            if source.field not in wanted[source.topic]:
-                wanted[source.topic].append(source.field)
-    for name in states:
-        terms = [f"data[{label}]" for label in STATE_FIELDS]
-        wanted[name] = [*terms, *(field for field in wanted.get(name, ()) if field not in terms)]
-    diagnostics = modes.diagnostic_topics(bag)
-    raw = {parameters.TOPIC, *diagnostics}
-    if journals:
-        raw |= {topic for valve in topics.values() for topic in (valve.journal, valve.memory)}
-    raw &= {name for name, topic in bag.topics.items() if not topic.unreadable}
-    return wanted, states, raw, diagnostics
-
-
-def _read(
-    bag: Bag,
-    wanted: tuple[dict[str, list[str]], set[str], set[str], list[str]],
-    groups: list[list[str]],
-    part: tuple[float | None, float | None],
-    clock_name: str | None,
-) -> tuple[dict[str, Series], Clock, int]:
-    """Series by topic, the clock of all their times, and the beginning of the ``part`` [ns]. Raises BagError.
-
-    Whole messages tell of the nodes, which counts from the bag's beginning.
-    """
-    fields, states, raw, _ = wanted
-    start, end = part
-
-    def span(begin: int) -> tuple[int, int | None]:
-        first = begin if start is None else begin + nanoseconds(start, "--from")
-        return first, None if end is None else begin + nanoseconds(end, "--to")
-
-    first, last = span(bag.begin)
-    notes: list[str] = []
-    kept = bag.read(fields, raw, states, None if start is None else first, last)
-    series = without_strays(kept, notes)
-    if bag.table is not None:
-        clock = of_table(bag.table, clock_name)
-    else:
-        clock = decide(series, groups, clock_name, bag.path)
-    if clock.apart and part != (None, None):
-        # The part that was read is one of times of recording.
-        notes.clear()
-        series = without_strays(bag.read(fields, raw, states), notes)
-        times = {name: one.publish_time for name, one in series.items()}
-        firsts = (int(times[name].min()) for group in groups for name in group if len(times[name]))
-        first, last = span(min(firsts))
-        ends = np.inf if last is None else last
-        inside = {name: ((name in raw) | (time >= first)) & (time < ends) for name, time in times.items()}
-        series = {name: one.pick(inside[name]) for name, one in series.items()}
-    bag.problems += [*notes, *clock.notes]
-    return clock.read(series), clock, first
-
-
 def load(
     path: Path | str,
     maps: Sequence[str] = (),
@@ -177,27 +115,44 @@ def load(
     journals: bool = False,
     clock: str | None = None,
 ) -> Recording:
-    """Load a bag, or its part from ``start`` to ``end`` [s] after its beginning.
+    """Load a bag, or its part recorded from ``start`` to ``end`` [s] after its beginning.
 
-    ``journals``: load the controllers' journals too, which only a shadow replay needs;
-    ``clock``: log or publish, whose times are taken for all (default: publish, if it is fit for all signals).
-    Raises BagError if nothing can be analysed.
+    What tells of the nodes counts from the bag's beginning. ``journals``: load the controllers' journals too,
+    which only a shadow replay needs; ``clock``: log or publish, whose times are taken for all (default:
+    publish, if it is fit for all signals). Raises BagError if nothing can be analysed.
     """
     bag = Bag(path)
     topics = find_valves(bag, maps)
-    wanted = _wanted(bag, topics, journals)
-    labels = {name: _labels(bag, name) for name in wanted[1]}
     groups = [[source.topic for source in valve.sources.values()] for valve in topics.values()]
-    series, used, first = _read(bag, wanted, groups, (start, end), clock)
-    since = 0 if start is None else first
+    states = {valve.state for valve in topics.values() if valve.state}
+    fields = {name: [f"data[{label}]" for label in STATE_FIELDS] for name in states}
+    for source in (source for valve in topics.values() for source in valve.sources.values()):
+        if source.field not in fields.setdefault(source.topic, []):
+            fields[source.topic].append(source.field)
+    diagnostics = modes.diagnostic_topics(bag)
+    raw = {parameters.TOPIC, *diagnostics}
+    if journals:
+        raw |= {topic for valve in topics.values() for topic in (valve.journal, valve.memory)}
+    raw &= {name for name, topic in bag.topics.items() if not topic.unreadable}
+    labels = {name: _labels(bag, name) for name in states}
+
+    first = bag.begin + nanoseconds(start or 0.0, "--from")
+    last = None if end is None else bag.begin + nanoseconds(end, "--to")
+    read = bag.read(fields, raw, states, None if start is None else first, last)
+    series = without_strays(read, bag.problems)
+    used = of_table(bag.table, clock) if bag.table is not None else decide(series, groups, clock, bag.path)
+    bag.problems += used.notes
+    series = used.read(series)
+    if used.apart:
+        times = (series[name].publish_time for group in groups for name in group)
+        first = min((int(time.min()) for time in times if len(time)), default=first)
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
     if start is not None:
         nodes = {name: node.from_time(first) for name, node in nodes.items()}
-    said = modes.words([series[name] for name in wanted[3]], bag.problems)
+    words = modes.words([series[name] for name in diagnostics], bag.problems)
+    since, rows = 0 if start is None else first, bag.table is not None
     valves = {
-        name: _valve(
-            valve, series, labels.get(valve.state, []), nodes, said, since, used, bag.table is not None
-        )
+        name: _valve(valve, series, labels.get(valve.state, []), nodes, words, since, used, rows)
         for name, valve in topics.items()
     }
     if not any(len(s.time) for valve in valves.values() for s in valve.signals.values()):
@@ -252,7 +207,7 @@ def _accounts(notes: Series | None) -> dict[tuple[int, int], Account]:
 
 
 def _labels(bag: Bag, topic: str) -> list[str]:
-    message = bag.first(topic)
+    message = next(bag.messages(topic), None)
     try:
         return [] if message is None else Decoder(bag.topic(topic), ()).labels(message)
     except (BagError, struct.error):
@@ -264,7 +219,7 @@ def _valve(
     series: dict[str, Series],
     labels: list[str],
     nodes: dict[str, parameters.Node],
-    said: dict[str, list[modes.Word]],
+    words: dict[str, list[modes.Word]],
     since: int,
     clock: Clock,
     rows: bool,
@@ -273,14 +228,19 @@ def _valve(
     cleaned = clean(topics.sources, series, problems, rows, received=clock.name == "log_time")
     signals, pairs = cleaned.usable, cleaned.pairs
     doubts = list(problems)
-    kinds = _kinds(topics, nodes)
+    # Of several controllers the one whose state or journal is read.
+    kinds = {node.kind: node for node in nodes.values() if node.namespace == topics.namespace and node.kind}
+    own = nodes.get((topics.state or topics.journal).rpartition("/")[0])
+    if own is not None and own.kind in kinds:
+        kinds[own.kind] = own
     state = None
+    stamp, mode = np.empty(0, dtype=np.int64), np.empty(0)
     if topics.state and len(series[topics.state].log_time):
         got = series[topics.state]
         named = {label: got.values[f"data[{label}]"] for label in STATE_FIELDS}
         stamp = got.publish_time if pairs is None else pairs.of(got.publish_time, got.place)
-        state = State(stamp, labels, named)
-    for part in ("spool_command", "spool_position", "valve_voltage"):
+        state, mode = State(stamp, labels, named), named["mode"]
+    for part in PARTS:
         if part not in signals:
             problems.append(f"{topics.name} has no {part}; what needs it is left out")
     if topics.state == "" and not rows:
@@ -294,6 +254,11 @@ def _valve(
             problems.append(
                 f"the bag does not have {node.missing} parameters of {node.name} from its beginning"
             )
+    intervals: list[modes.Interval] = []
+    if filled := [samples.time for samples in cleaned.recorded.values() if len(samples.time)]:
+        begin, end = min(int(time[0]) for time in filled), max(int(time[-1]) for time in filled) + 1
+        heard = modes.of_controller(words, topics.namespace, topics.state)
+        intervals = modes.history(heard, stamp, mode, max(begin, since), end)
     return ValveRecording(
         name=topics.name,
         topics=topics,
@@ -305,38 +270,13 @@ def _valve(
         since=since,
         controller=kinds.get("controller"),
         simulator=kinds.get("valve_simulator"),
-        modes=_modes(topics, said, state, cleaned.recorded, since),
+        modes=intervals,
         problems=problems,
         doubts=doubts,
         clock=clock,
         coarse=pairs is not None and not pairs.crossed and (pairs.several or not rows),
         paired=rows or (pairs is not None and pairs.crossed),
     )
-
-
-def _kinds(topics: ValveTopics, nodes: Mapping[str, parameters.Node]) -> dict[str, parameters.Node]:
-    """Nodes of a valve by their kind; of several controllers the one whose state or journal is read."""
-    kinds = {node.kind: node for node in nodes.values() if node.namespace == topics.namespace and node.kind}
-    own = nodes.get((topics.state or topics.journal).rpartition("/")[0])
-    return {**kinds, own.kind: own} if own is not None and own.kind in kinds else kinds
-
-
-def _modes(
-    topics: ValveTopics,
-    said: dict[str, list[modes.Word]],
-    state: State | None,
-    signals: dict[str, Samples],
-    since: int,
-) -> list[modes.Interval]:
-    """The controller's modes from the first to the last message of its signals."""
-    filled = [samples.time for samples in signals.values() if len(samples.time)]
-    if not filled:
-        return []
-    begin, end = min(int(time[0]) for time in filled), max(int(time[-1]) for time in filled) + 1
-    told = modes.of_controller(said, topics.namespace, topics.state)
-    none = np.empty(0, dtype=np.int64)
-    stamp, mode = (none, np.empty(0)) if state is None else (state.stamp, state.values["mode"])
-    return modes.history(told, stamp, mode, max(begin, since), end)
 
 
 def at_time(signals: Aligned, stamp: int) -> float:

@@ -6,25 +6,13 @@ import numpy as np
 
 from valve_control.arrays import Floats
 from valve_control.control.analysis import limit_cycle
-from valve_control.control.analysis.figures import Line, Plot
 from valve_control.control.analysis.indices import indices, rms
 from valve_control.control.analysis.segments import Segment
-from valve_control.control.analysis.tables import HEADER, index_row
 from valve_control.recordings import report
 from valve_control.recordings.analysis import segment_indices
 from valve_control.recordings.report import BLACK, BLUE, GREEN, RED, Figure, Notes, Report, Table
 from valve_control.recordings.shadow import Shadow
 from valve_control.recordings.what_if import WhatIf
-
-
-def _figure(time: Floats, plots: dict[str, list[tuple[str, Floats, str]]]) -> Figure:
-    """Plots by title: lines with label, values and colour."""
-    return Figure(
-        [
-            Plot(title, [Line(label, time, values, colour) for label, values, colour in lines])
-            for title, lines in plots.items()
-        ]
-    )
 
 
 def _effort(voltage: Floats) -> dict[str, float]:
@@ -68,13 +56,7 @@ def of_shadow(result: Shadow, bag: str, valve: str) -> Report:
     else:
         outcome = "the bag has no voltage to compare with"
     parameters = ", recorded parameters" if result.faithful else ""
-    lines = [
-        f"shadow of {result.controller}, {len(result.time)} samples{parameters}",
-        f"{'voltage':14}{'u_rms [V]':>11}{'c_u':>9}{'max [V]':>9}",
-        *(f"{name:14}{e['u_rms']:11.4f}{e['c_u']:9.4f}{e['max']:9.3f}" for name, e in efforts.items()),
-        outcome,
-        *report.noted(result.left_out),
-    ]
+    head = f"shadow of {result.controller}, {len(result.time)} samples{parameters}"
     rows = [(name, *(f"{value:.4f}" for value in effort.values())) for name, effort in efforts.items()]
     plots = {
         "spool position [V]": [
@@ -86,7 +68,6 @@ def of_shadow(result: Shadow, bag: str, valve: str) -> Report:
     }
     return Report(
         title=f"{bag}: shadow replay with {result.controller}",
-        lines=lines,
         columns={
             "time_s": result.time,
             "command_V": result.command,
@@ -96,8 +77,13 @@ def of_shadow(result: Shadow, bag: str, valve: str) -> Report:
         },
         about=about,
         sections={
-            "Voltage": [Table(["", "u_rms [V]", "c_u", "max [V]"], rows), outcome, Notes(result.left_out)],
-            "Signals": [_figure(result.time, plots)],
+            "Voltage": [
+                head,
+                Table(["", "u_rms [V]", "c_u", "max [V]"], rows),
+                outcome,
+                Notes(result.left_out),
+            ],
+            "Signals": [Figure(report.plots_of(result.time, plots))],
         },
     )
 
@@ -108,6 +94,8 @@ def of_what_if(result: WhatIf, bag: str, valve: str) -> Report:
     recorded = segment_indices(result.original, Segment("run", "", 0, len(result.original.time)))
     cycle = limit_cycle.in_words(run.saturated, run.limit_cycle)
     table = report.index_table([("recorded", "", recorded, ""), ("what-if", run.controller, run.indices, "")])
+    sentences = [f"simulated minus recorded measurement: {result.distance:.4g} V rms"]
+    sentences += [f"simulated: {cycle}"] if cycle else []
     plots = {
         "spool position [V]": [
             ("command", was.command, BLACK),
@@ -122,14 +110,6 @@ def of_what_if(result: WhatIf, bag: str, valve: str) -> Report:
     }
     return Report(
         title=f"{bag}: what-if replay with {run.controller}",
-        lines=[
-            HEADER,
-            index_row("recorded", recorded),
-            index_row(f"what-if {run.controller}", run.indices),
-            f"simulated minus recorded measurement: {result.distance:.4g} V rms",
-            *([f"simulated: {cycle}"] if cycle else []),
-            *report.noted(result.left_out),
-        ],
         columns={
             "time_s": result.time,
             "command_V": was.command,
@@ -154,5 +134,8 @@ def of_what_if(result: WhatIf, bag: str, valve: str) -> Report:
             "warning": run.warning or None,
             "left_out": result.left_out,
         },
-        sections={"Indices": [table, Notes(result.left_out)], "Signals": [_figure(result.time, plots)]},
+        sections={
+            "Indices": [table, *sentences, Notes(result.left_out)],
+            "Signals": [Figure(report.plots_of(result.time, plots))],
+        },
     )

@@ -17,7 +17,7 @@ from valve_control.recordings.bags.table import KINDS, TableFile
 
 TIME = "time"
 ROW = "row"  # the number of a row from 0, as in time=row*0.001
-SCALED = re.compile(r"(?P<column>.+?)\s*(?P<scale>@[^@]+|\*[^*]+)")
+SCALED = re.compile(r"(?P<source>.+?)\s*(?P<scale>@[^@]+|\*[^*]+)")
 USUAL = re.compile(
     r"(?:time|t|zeit|(?P<stamp>(?:time)?stamp))(?:[\s_]*[\[(]\s*|[\s_]+|$)(?P<unit>s|sec|ms|us|µs|ns|)\s*[\])]?",
     re.IGNORECASE,
@@ -41,27 +41,25 @@ def is_table(path: Path | str) -> bool:
     return Path(path).suffix.lower() in KINDS
 
 
-def column_of(table: TableFile, text: str) -> tuple[str, Scale]:
-    """Column and scale that the map ``text`` names behind its ``=``: ``column[*factor±offset]``.
+def scaled(text: str) -> tuple[str, Scale]:
+    """Source and scale that the map ``text`` names behind its ``=``: ``source[*factor±offset or @word]``.
 
-    A column is taken by its exact name, or by its number from 1. Raises BagError.
+    Raises BagError.
     """
     right = text.partition("=")[2].strip()
-    if table.named(right):
-        return right, Scale(1.0)
     found = SCALED.fullmatch(right)
     if found is None:
         return right, Scale(1.0)
     try:
-        return found["column"], parse(found["scale"].removeprefix("@"))
+        return found["source"].strip(), parse(found["scale"].removeprefix("@"))
     except ScaleError as error:
         raise BagError(f"--map {text}: {error}") from None
 
 
-def topic_of(table: TableFile, text: str) -> tuple[str, Scale]:
-    """Topic of the column that the map ``text`` names, and its scale. Raises BagError."""
-    name, scale = column_of(table, text)
-    return table.topics[table.column(name)].name, scale
+def column_of(table: TableFile, text: str) -> tuple[str, Scale]:
+    """Column and scale that the map ``text`` names, the column by its exact name or its number from 1."""
+    right = text.partition("=")[2].strip()
+    return (right, Scale(1.0)) if table.named(right) else scaled(text)
 
 
 def take_times(bag: Bag, maps: Sequence[str]) -> list[str]:
@@ -80,7 +78,11 @@ def take_times(bag: Bag, maps: Sequence[str]) -> list[str]:
         raise BagError(f"--map {timed[1]}: the time is mapped already, by --map {timed[0]}")
     name, scale = column_of(table, timed[0]) if timed else _usual(table)
     if name == ROW and not table.named(ROW):
-        values = np.arange(_rows(table, rest), dtype=np.float64)
+        # Rows of the first column that is mapped, or of most columns.
+        counts = Counter(len(column.values) for column in table.columns)
+        mapped = [len(table.columns[table.column(column_of(table, text)[0])].values) for text in rest[:1]]
+        count = next(iter(mapped), max(counts, key=lambda rows: (counts[rows], rows)))
+        values = np.arange(count, dtype=np.float64)
         clock = f"{ROW}{scale}"
     else:
         column = table.columns[table.column(name)]
@@ -114,15 +116,6 @@ def _usual(table: TableFile) -> tuple[str, Scale]:
         f"{table.path}: {several}say when its rows were taken: --map time=COLUMN*FACTOR in seconds, or "
         f"--map time=row*PERIOD; its columns are {table.listed}"
     )
-
-
-def _rows(table: TableFile, maps: Sequence[str]) -> int:
-    """Rows of the first column that is mapped, or of most columns."""
-    for text in maps:
-        return len(table.columns[table.column(column_of(table, text)[0])].values)
-    return max(
-        Counter(len(column.values) for column in table.columns).items(), key=lambda entry: entry[::-1]
-    )[0]
 
 
 def empty_notes(table: TableFile, topics: Sequence[str]) -> list[str]:

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags import metadata as bag_metadata
 from valve_control.recordings.bags.cdr import Decoder
-from valve_control.recordings.bags.errors import BagError, PointerError, refuse_pointer
+from valve_control.recordings.bags.errors import BagError, refuse_pointer
 from valve_control.recordings.bags.messages import Block, Topic
-from valve_control.recordings.bags.sqlite import SALVAGE, SqliteFile
+from valve_control.recordings.bags.sqlite import SqliteFile
 from valve_control.recordings.bags.table import KINDS as TABLES
 from valve_control.recordings.bags.table import TableFile
 
@@ -62,16 +62,10 @@ class Series(NamedTuple):
         )
 
 
-def edges(time: Integers) -> Floats:
-    """First stamps [ns] of the stretches of ``time``, hours apart, but for the first stretch."""
-    ordered = np.sort(time).astype(np.float64)
-    return np.asarray(ordered[1:][np.diff(ordered) > FAR * 1e9], dtype=np.float64)
-
-
 def stretch(time: Integers) -> tuple[int, int]:
     """First and last of ``time`` [ns] in that of its stretches, hours apart, with the most messages."""
     ordered = np.sort(time)
-    starts = np.searchsorted(ordered.astype(np.float64), edges(time))
+    starts = np.flatnonzero(np.diff(ordered.astype(np.float64)) > FAR * 1e9) + 1
     bounds = [0, *starts.tolist(), len(ordered)]
     longest = len(bounds) - 2 - int(np.argmax(np.diff(bounds)[::-1]))
     return int(ordered[bounds[longest]]), int(ordered[bounds[longest + 1] - 1])
@@ -88,11 +82,8 @@ class Bag:
         self.problems: list[str] = []
         self.topics: dict[str, Topic] = {}
         self.storage = ""
-        self.compression = ""  # of files or messages, as in metadata.yaml
-        self.version: int | None = None  # of metadata.yaml
-        self.distribution = ""
+        self.listing = bag_metadata.Listing()
         self._unpacked: tempfile.TemporaryDirectory[str] | None = None
-        self._formats: dict[str, str] = {}  # serialization of topics, where it is another than CDR
         try:
             self._files = self._open()
         except OSError as error:
@@ -133,23 +124,20 @@ class Bag:
         return [file.path.name for file in self._files]
 
     @property
+    def compression(self) -> str:
+        """``file`` or ``message`` for a bag that rosbag2 compressed, "" for others."""
+        return self.listing.compression or ("file" if self._unpacked is not None else "")
+
+    @property
     def begin(self) -> int:
         """Log time [ns] of the first message, 0 if there are none; not of one hours from all near it."""
-        if self.table is not None:
-            return int(self.table.times[0]) if len(self.table.times) else 0
         firsts = filter(None, map(_first_block, self._files))
         return min((stretch(block.log_time)[0] for block in firsts), default=0)
 
     @property
-    def damaged_chunks(self) -> int:
-        """Number of chunks of MCAP files that were left out, of those read so far."""
-        return sum(getattr(file, "damaged_chunks", 0) for file in self._files)
-
-    def refuse_salvage(self) -> None:
-        """Raise BagError if a database that was read turned out to be damaged."""
-        for file in self._files:
-            if isinstance(file, SqliteFile) and file.damaged:
-                raise BagError(f"{file.path} is damaged; {SALVAGE}")
+    def damaged(self) -> int:
+        """Number of places that were left out, of those read so far: of chunks in MCAP files."""
+        return sum(len(file.damaged) for file in self._files)
 
     def close(self) -> None:
         """Close the files; nothing can be read afterwards."""
@@ -162,34 +150,35 @@ class Bag:
 
     def blocks(self, topics: Collection[str]) -> Iterator[tuple[str, Block]]:
         """Yield messages of ``topics`` in blocks, each of one topic."""
-        before = 0
-        for file in self._files:
-            names = [t.name if self._is_known(self._as_listed(t)) else "" for t in file.topics]
-            wanted = [i for i, name in enumerate(names) if name in topics]
-            if isinstance(file, TableFile):
-                file.wanted = wanted
-            for block in file.blocks():
-                block = block._replace(place=before + block.place)
-                before = int(block.place[-1]) + 1 if len(block.place) else before
-                for i in wanted:
+        for names, block in self._parts(topics):
+            for i in np.unique(block.topic).tolist():
+                if names[i]:
                     chosen = np.flatnonzero(block.topic == i)
-                    if len(chosen) == 0:
-                        continue
                     part = block if len(chosen) == len(block.topic) else block.select(chosen)
-                    yield names[i], self._decompressed(part) if self.compression == "message" else part
-            for problem in file.problems:
-                self._complain(problem)
+                    yield names[i], self._decompressed(part)
 
     def in_file_order(self) -> Iterator[tuple[str, int, int, int, bytes]]:
         """Yield topic, log time [ns], publish time [ns], number and content of all messages."""
+        for names, block in self._parts(self.topics):
+            part = self._decompressed(block)
+            columns = zip(*(column.tolist() for column in part[1:5]), part.contents(), strict=True)
+            yield from ((names[topic], *rest) for topic, *rest in columns if names[topic])
+
+    def _parts(self, topics: Collection[str]) -> Iterator[tuple[list[str], Block]]:
+        """Yield all messages, and the names of the topics of their file, "" but for ``topics``."""
+        before = 0
         for file in self._files:
-            names = [t.name if self._is_known(self._as_listed(t)) else "" for t in file.topics]
+            listed = map(self._as_listed, file.topics)
+            names = [t.name if t.name in topics and self._is_known(t) else "" for t in listed]
+            if isinstance(file, TableFile):
+                file.wanted = [i for i, name in enumerate(names) if name]
             for block in file.blocks():
-                part = self._decompressed(block) if self.compression == "message" else block
-                columns = zip(*(column.tolist() for column in part[1:5]), part.contents(), strict=True)
-                for topic, *rest in columns:
-                    if names[topic]:
-                        yield names[topic], *rest
+                if len(block.topic):
+                    block = block._replace(place=before + block.place)
+                    before = int(block.place[-1]) + 1
+                    yield names, block
+            for problem in file.problems:
+                self._complain(problem)
 
     def read(
         self,
@@ -222,10 +211,6 @@ class Bag:
             raise BagError(f"{self.path} has no topic {name}; it has {', '.join(sorted(self.topics))}")
         return self.topics[name]
 
-    def first(self, name: str) -> bytes | None:
-        """First message of a topic, None if it has none."""
-        return next(self.messages(name), None)
-
     def messages(self, name: str) -> Iterator[bytes]:
         """Yield messages of a topic from its beginning, read only as they are asked for."""
         for _, block in self.blocks([name]):
@@ -237,18 +222,12 @@ class Bag:
         if not self.path.exists():
             raise BagError(f"there is no bag {self.path}")
         if self.path.is_file():
-            file = self._file(self.path)
-            self._recognise([file])
-            return [file]
+            return [self._file(self.path)]
         if not self.path.is_dir():
             raise BagError(f"{self.path} is neither a file nor a folder; a bag is one of them")
-        found = sorted(
-            (p for p in self.path.iterdir() if _plain_suffix(p) in KINDS), key=lambda p: (len(p.name), p.name)
-        )
-        paths, flaw = self._listed(found)
         files: list[File] = []
         refused = []
-        for path in paths:
+        for path in self._listed():
             try:
                 files.append(self._file(path))
             except (BagError, OSError) as error:
@@ -256,64 +235,50 @@ class Bag:
         if not files:
             raise BagError("; ".join(refused))
         self.problems += [f"{text}, it is left out" for text in refused]
-        if len(files) > 1:
-            files.sort(key=_begin)
-        self._recognise(files)
-        if flaw:
-            self._complain(flaw)
-        return files
+        return sorted(files, key=_begin) if len(files) > 1 else files
 
-    def _listed(self, found: list[Path]) -> tuple[list[Path], str]:
-        """Files of the bag out of those ``found`` in its folder, and what is wrong with its metadata.yaml."""
+    def _listed(self) -> list[Path]:
+        """Files of the bag by its metadata.yaml, or else those in its folder."""
+        found = [path for path in self.path.iterdir() if _plain_suffix(path) in KINDS]
+        found.sort(key=lambda path: (len(path.name), path.name))
         if not (self.path / bag_metadata.NAME).exists():
             if not found:
                 raise BagError(
                     f"{self.path} is not a bag: it has neither metadata.yaml nor .mcap nor .db3 files"
                 )
-            return found, (
+            self._complain(
                 f"{self.path} is unfinished: it has no metadata.yaml (valve-control bag recover writes a "
                 "finished copy)"
             )
+            return found
         try:
-            listing = bag_metadata.read(self.path)
-        except PointerError as error:
-            return found, f"{error}; it is not used"
+            self.listing = bag_metadata.read(self.path)
         except BagError as error:
-            return found, f"{error}; it is not used (valve-control bag recover writes a copy with a new one)"
-        if listing.version > bag_metadata.VERSION:
-            raise BagError(
-                f"{self.path} is a bag of version {listing.version}; versions up to {bag_metadata.VERSION} "
-                "are known"
+            self._complain(
+                f"{error}; it is not used (valve-control bag recover writes a copy with a new one)"
             )
-        self.version, self.distribution = listing.version, listing.distribution
-        self.compression, self._formats = listing.compression, listing.formats
-        paths = [self.path / name for name in listing.files]
-        for path in paths:
+            return found
+        if (self.listing.version or 0) > bag_metadata.VERSION:
+            raise BagError(
+                f"{self.path} is a bag of version {self.listing.version}; versions up to "
+                f"{bag_metadata.VERSION} are known"
+            )
+        paths = [self.path / name for name in self.listing.files]
+        for path in sorted({*paths, *found}):
             if not path.exists():
                 self._complain(f"{path.name}, which metadata.yaml names, is missing")
-        present = [path for path in paths if path.exists()]
-        if not present:
-            raise BagError(f"{self.path} has none of the files that its metadata.yaml names")
-        for path in found:
-            if path not in paths:
+            elif path not in paths:
                 self._complain(
                     f"{path.name} lies in the folder, but metadata.yaml does not list it: not read"
                 )
-        return present, ""
-
-    def _recognise(self, files: "Sequence[File]") -> None:
-        """Find out whether rosbag2 compressed the messages, where no metadata.yaml says it."""
-        if self.compression or self._unpacked is not None:
-            self.compression = self.compression or "file"
-        elif any(block.first.startswith(ZSTD_MAGIC) for block in filter(None, map(_first_block, files))):
-            self.compression = "message"
-            self._complain(
-                f"messages of {self.path} are compressed with zstd, though no metadata.yaml says so"
-            )
+        present = [path for path in paths if path.exists()]
+        if not present:
+            raise BagError(f"{self.path} has none of the files that its metadata.yaml names")
+        return present
 
     def _as_listed(self, topic: Topic) -> Topic:
         """``topic`` with the serialization that metadata.yaml names, if that is another than CDR."""
-        return topic._replace(encoding=self._formats.get(topic.name, topic.encoding))
+        return topic._replace(encoding=self.listing.formats.get(topic.name, topic.encoding))
 
     def _is_known(self, topic: Topic) -> bool:
         known = self.topics[topic.name]
@@ -352,8 +317,15 @@ class Bag:
         return plain
 
     def _decompressed(self, block: Block) -> Block:
+        """``block``, whose messages rosbag2 may have compressed, with the messages as they were sent."""
+        if not block.first.startswith(ZSTD_MAGIC):
+            return block
         import zstandard
 
+        if self.compression != "message":
+            self._complain(
+                f"messages of {self.path} are compressed with zstd, though no metadata.yaml says so"
+            )
         decompress = zstandard.ZstdDecompressor().decompressobj
         parts, good = [], []
         for i, content in enumerate(block.contents()):
@@ -395,62 +367,49 @@ class _Collector:
 
     def __init__(self, topic: Topic, fields: Sequence[str], raw: bool, sparse: bool) -> None:
         # Each field has a decoder: messages of one publisher may have one, those of another the other.
-        groups = [fields] if sparse and fields else [[field] for field in fields]
-        self._decoders = [Decoder(topic, group, optional=sparse) for group in groups]
-        self._fields = tuple(fields)
+        self._decoders = {field: Decoder(topic, [field], optional=sparse) for field in fields}
         self._keep_raw = raw
-        # Piece by piece: log time, publish time, sequence, place, fields.
-        self._integers: list[list[Integers]] = [[], [], [], []]
-        self._floats: list[list[Floats]] = [[] for _ in fields]
-        self._present: list[list[npt.NDArray[np.bool_]]] = [] if sparse else [[] for _ in fields]
         self._raw: list[bytes] = []
-        self._undecodable = 0
+        self._failed = 0  # messages without the first field, for whatever reason
+        # Piece by piece: log time, publish time, sequence, place; fields; which messages have these.
+        kinds = [np.int64] * 4 + [np.float64] * len(fields) + [np.bool_] * len(fields)
+        self._columns: list[list[npt.NDArray[Any]]] = [[np.empty(0, dtype=kind)] for kind in kinds]
 
     def take(self, block: Block) -> None:
-        values = np.empty((len(block.topic), 0))
-        if self._decoders:
-            before = self._decoders[0].absent
-            found = [one.decode(block.buffer, block.offset, block.length) for one in self._decoders]
-            values = np.hstack([numbers for numbers, _ in found])
-            masks = np.array([mask for _, mask in found])
-            absent = self._decoders[0].absent - before
-            self._undecodable += int(np.count_nonzero(~masks[0])) - absent
+        decoders = self._decoders.values()
+        found = [one.decode(block.buffer, block.offset, block.length) for one in decoders]
+        values, masks = [numbers[:, 0] for numbers, _ in found], [mask for _, mask in found]
+        if found:
+            self._failed += int(np.count_nonzero(~masks[0]))
             done: npt.NDArray[np.bool_] = np.logical_or.reduce(masks)
             if not done.all():
-                block, values, masks = block.select(done), values[done], masks[:, done]
-            for has, mask in zip(self._present, masks, strict=False):
-                has.append(mask)
+                block = block.select(done)
+                values, masks = [one[done] for one in values], [one[done] for one in masks]
         if self._keep_raw:
             self._raw += block.contents()
-        for pieces, column in zip(self._integers, block[2:6], strict=True):
+        for pieces, column in zip(self._columns, (*block[2:6], *values, *masks), strict=True):
             pieces.append(column.copy())
-        for k, numbers in enumerate(self._floats):
-            numbers.append(values[:, k].copy())
 
     def series(self) -> Series:
-        masks = [
-            (field, _joined(pieces, np.bool_))
-            for field, pieces in zip(self._fields, self._present, strict=False)
-        ]
-        absent = [(field, one.absent) for field, one in zip(self._fields, self._decoders, strict=False)]
-        log, publish, sequence, place = (_joined(pieces, np.int64) for pieces in self._integers)
-        numbers = [_joined(pieces, np.float64) for pieces in self._floats]
+        log, publish, sequence, place, *rest = map(_joined, self._columns)
+        count = len(self._decoders)
+        first = next(iter(self._decoders.values()), None)
         return Series(
             log_time=log,
             publish_time=publish,
             sequence=sequence,
             place=place,
-            values=dict(zip(self._fields, numbers, strict=True)),
-            present={field: mask for field, mask in masks if not mask.all()},
+            values=dict(zip(self._decoders, rest[:count], strict=True)),
+            present={f: mask for f, mask in zip(self._decoders, rest[count:], strict=True) if not mask.all()},
             raw=self._raw,
-            undecodable=self._undecodable,
-            error=self._decoders[0].error if self._decoders else "",
-            absent={field: count for field, count in absent if count},
+            undecodable=self._failed - first.absent if first is not None else 0,
+            error=first.error if first is not None else "",
+            absent={field: one.absent for field, one in self._decoders.items() if one.absent},
         )
 
 
-def _joined(pieces: list[npt.NDArray[Any]], kind: Any) -> npt.NDArray[Any]:
+def _joined(pieces: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
     """One array made of ``pieces``, whose memory is released."""
-    array = np.concatenate([np.empty(0, dtype=kind), *pieces])
+    array = np.concatenate(pieces)
     pieces.clear()
     return array

@@ -21,18 +21,11 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from valve_control.arrays import Bytes, Floats, Integers
-from valve_control.control.compiling import compile_function
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.messages import Topic, full_type
 
-SIZES = {
-    "bool": 1, "octet": 1, "byte": 1, "char": 1, "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4,
-    "uint32": 4, "int64": 8, "uint64": 8, "float32": 4, "float64": 8,
-}  # fmt: skip
-KINDS = {"bool": "u1", "octet": "u1", "byte": "u1", "char": "u1"} | {
-    name: {"i": "i", "u": "u", "f": "f"}[name[0]] + str(size)
-    for name, size in SIZES.items()
-    if name[0] in "iuf"
+KINDS = dict.fromkeys(("bool", "octet", "byte", "char"), "u1") | {
+    f"{word}{8 * size}": f"{word[0]}{size}" for word in ("int", "uint", "float") for size in (1, 2, 4, 8)
 }
 PART = re.compile(r"\.?([A-Za-z_][A-Za-z0-9_]*)|\[([^\]]*)\]")
 HEADER = 4  # bytes before the message proper
@@ -60,14 +53,12 @@ class Leaf(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Offsets of the fields in messages of one size."""
+    """Places of the fields in messages of one size."""
 
-    where: Integers  # bytes that decide about the layout ...
-    expected: Bytes  # ... and what stands there
-    sources: Integers  # offset of each field
-    sizes: Integers
-    kinds: tuple[str, ...]  # of numpy
-    absent: AbsentError | None = None  # why the fields are not there
+    where: list[int]  # bytes that decide about the layout ...
+    expected: bytes  # ... and what stands there
+    fields: list[tuple[int, str] | None]  # offset and kind of numpy of each; None: such messages lack it
+    absent: AbsentError | None  # why the fields are not there
 
 
 class _Walk:
@@ -83,7 +74,7 @@ class _Walk:
         self.strings: dict[str, tuple[int, int]] = {}
         self.lengths: list[int] = [0, 1]  # bytes that decide
         self._types = types
-        self._message_type(name, "")
+        self._fields(name, "")
 
     def _align(self, size: int) -> None:
         self.at = HEADER + -(-(self.at - HEADER) // size) * size
@@ -95,43 +86,40 @@ class _Walk:
         self.at += 4
         return int(value)
 
-    def _message_type(self, name: str, path: str) -> None:
+    def _fields(self, name: str, path: str) -> None:
         for field, description in self._types[name][1]:
-            self._field(description, f"{path}.{field}" if path else field)
-
-    def _field(self, description: Any, path: str) -> None:
-        node, detail = description
-        if node == Nodetype.BASE:
-            self._several(description, path, 1, single=True)
-        elif node == Nodetype.NAME:
-            self._message_type(detail, path)
-        else:
+            place = f"{path}.{field}" if path else field
+            node, detail = description
+            if node in (Nodetype.BASE, Nodetype.NAME):
+                self._several(description, [place], place)
+                continue
             inner, count = detail
             if node == Nodetype.SEQUENCE:
                 count = self._length()
                 if count > len(self.message):
                     raise BagError(
-                        f"a message says that its {path} has {count} entries, more than it has bytes"
+                        f"a message says that its {place} has {count} entries, more than it has bytes"
                     )
-            self._several(inner, path, count, single=False)
+            self._several(inner, [f"{place}[{i}]" for i in range(count)], place, single=False)
 
-    def _several(self, description: Any, path: str, count: int, single: bool) -> None:
+    def _several(self, description: Any, places: list[str], path: str, single: bool = True) -> None:
         node, detail = description
         if node == Nodetype.NAME:
-            for i in range(count):
-                self._message_type(detail, f"{path}[{i}]")
+            for place in places:
+                self._fields(detail, place)
         elif detail[0] in ("string", "wstring"):
-            for i in range(count):
+            for place in places:
                 size = self._length()
-                self.strings[path if single else f"{path}[{i}]"] = (self.at, size)
+                self.strings[place] = (self.at, size)
                 self.at += size
         else:
-            size = SIZES[detail[0]]
-            if count > 0:
+            kind = KINDS[detail[0]]
+            size = int(kind[1:])
+            if places:
                 self._align(size)
             if path.rpartition(".")[2] != EMPTY:
-                self.leaves[path] = Leaf(self.at, KINDS[detail[0]], count, single)
-            self.at += size * count
+                self.leaves[path] = Leaf(self.at, kind, len(places), single)
+            self.at += size * len(places)
         if self.at > len(self.message):
             raise BagError(f"a message ends in the middle of its {path}")
 
@@ -142,13 +130,10 @@ class _Walk:
 
     def labels(self, path: str) -> list[str]:
         """Paths of the strings that name the entries of the sequence at ``path``."""
-        parent, dot, _ = path.rpartition(".")
-        found = [
-            p for p in self.strings if re.fullmatch(rf"{re.escape(parent + dot)}layout\.dim\[\d+\]\.label", p)
-        ]
-        return found or [
-            p for p in self.strings if re.fullmatch(rf"{re.escape(parent + dot)}names?\[\d+\]", p)
-        ]
+        parent = re.escape("".join(path.rpartition(".")[:2]))
+        forms = (rf"{parent}layout\.dim\[\d+\]\.label", rf"{parent}names?\[\d+\]")
+        found = ([place for place in self.strings if re.fullmatch(form, place)] for form in forms)
+        return next(filter(None, found), [])
 
     def find(self, field: str) -> Leaf:
         """The single number that ``field`` names. Raises BagError, and AbsentError if others may have it."""
@@ -256,27 +241,9 @@ def _missing(types: Any, name: str, above: tuple[str, ...] = ()) -> str:
         missing = _missing(types, detail, (*above, name)) if node == Nodetype.NAME else ""
         if missing:
             return missing
-        if node == Nodetype.BASE and detail[0] not in (*SIZES, "string", "wstring"):
+        if node == Nodetype.BASE and detail[0] not in (*KINDS, "string", "wstring"):
             return str(detail[0])
     return ""
-
-
-def _gather(
-    buffer: Any, offsets: Any, where: Any, expected: Any, sources: Any, sizes: Any, out: Any, fits: Any
-) -> None:
-    """Copy the fields (n×m×8 bytes) of those messages that have the layout."""
-    for i in range(offsets.shape[0]):
-        base = offsets[i]
-        fit = True
-        for j in range(where.shape[0]):
-            if buffer[base + where[j]] != expected[j]:
-                fit = False
-                break
-        fits[i] = fit
-        if fit:
-            for k in range(sources.shape[0]):
-                for byte in range(sizes[k]):
-                    out[i, k, byte] = buffer[base + sources[k] + byte]
 
 
 class Decoder:
@@ -309,30 +276,28 @@ class Decoder:
         self, buffer: Bytes, offset: Integers, length: Integers
     ) -> tuple[Floats, npt.NDArray[np.bool_]]:
         """Fields (n×m) of the messages, and a mask of those that could be decoded."""
-        if len(length) and length[0] == length.min() == length.max() and self._layouts.get(int(length[0])):
-            layout = self._layouts[int(length[0])][0]
-            fits, values = self._take(layout, buffer, offset)
-            if fits.all() and layout.absent is None:
-                return values, fits
         result = np.full((len(offset), len(self.fields)), np.nan)
         done = np.zeros(len(offset), dtype=np.bool_)
         for size in np.unique(length).tolist():
             left = np.flatnonzero(length == size)
+            known = self._layouts.setdefault(size, [])
             tried, failed = 0, 0
             while len(left) > 0 and failed < HOPELESS:
-                known = self._layouts.setdefault(size, [])
                 if tried == len(known):
                     start = int(offset[left[0]])
                     try:
-                        known.append(self._any_layout(buffer[start : start + size].tobytes()))
+                        known.append(self._layout(buffer[start : start + size].tobytes()))
                     except (BagError, struct.error, KeyError) as error:
                         self.error = self.error or str(error)
                         left = left[1:]
                         failed += 1
                         continue
-                fits, values = self._take(known[tried], buffer, offset[left])
-                if known[tried].absent is None:
-                    result[left[fits]] = values[fits]
+                layout = known[tried]
+                fits = np.ones(len(left), dtype=np.bool_)
+                for where, expected in zip(layout.where, layout.expected, strict=True):
+                    fits &= buffer[offset[left] + where] == expected
+                if layout.absent is None:
+                    result[left[fits]] = self._take(layout, buffer, offset[left[fits]])
                     done[left[fits]] = True
                 else:
                     self.absent += int(np.count_nonzero(fits))
@@ -340,52 +305,34 @@ class Decoder:
                 tried += 1
         return result, done
 
-    def layout(self, message: bytes) -> Layout:
-        """Layout of messages like this one. Raises BagError if a field is not there."""
-        layout = self._any_layout(message)
-        if layout.absent is not None:
-            raise layout.absent
-        return layout
-
-    def _any_layout(self, message: bytes) -> Layout:
-        """Likewise, or a layout of messages that do not have all fields."""
+    def _layout(self, message: bytes) -> Layout:
+        """Layout of messages like this one, which may not have all fields. Raises BagError."""
         walk = _Walk(self._types, self.topic.type, message)
-        leaves: list[Leaf] = []
+        fields: list[tuple[int, str] | None] = []
         absent = None
         try:
-            leaves += [self._find(walk, field) for field in self.fields]
+            fields += [self._find(walk, field) for field in self.fields]
         except AbsentError as error:
             absent, before = error, self.absence
             known = (*before.labels, *error.labels) if before is not None else error.labels
             self.absence = AbsentError((before or error).text, tuple(dict.fromkeys(known)))
-        where = np.array(sorted(set(walk.lengths)), dtype=np.int64)
-        return Layout(
-            where,
-            np.frombuffer(message, dtype=np.uint8)[where],
-            np.array([leaf.offset for leaf in leaves], dtype=np.int64),
-            np.array([leaf.entries * int(leaf.kind[1:]) for leaf in leaves], dtype=np.int64),
-            tuple(walk.order + leaf.kind for leaf in leaves),
-            absent,
-        )
+        where = sorted(set(walk.lengths))
+        return Layout(where, bytes(message[at] for at in where), fields, absent)
 
-    def _find(self, walk: _Walk, field: str) -> Leaf:
+    def _find(self, walk: _Walk, field: str) -> tuple[int, str] | None:
         try:
-            return walk.find(field)
+            leaf = walk.find(field)
         except BagError:
             if self._optional:
-                return Leaf(0, "f8", 0, True)
+                return None
             raise
+        return leaf.offset, walk.order + leaf.kind
 
-    def _take(self, layout: Layout, buffer: Bytes, offset: Integers) -> tuple[npt.NDArray[np.bool_], Floats]:
-        raw = np.empty((len(offset), len(layout.kinds), 8), dtype=np.uint8)
-        fits = np.empty(len(offset), dtype=np.bool_)
-        compile_function(_gather)(
-            buffer, offset, layout.where, layout.expected, layout.sources, layout.sizes, raw, fits
-        )
-        values = np.empty((len(offset), len(layout.kinds)))
-        for k, kind in enumerate(layout.kinds):
-            if layout.sizes[k] == 0:
-                values[:, k] = np.nan
-                continue
-            values[:, k] = np.ascontiguousarray(raw[:, k, : layout.sizes[k]]).view(kind)[:, 0]
-        return fits, values
+    def _take(self, layout: Layout, buffer: Bytes, offset: Integers) -> Floats:
+        values = np.full((len(offset), len(layout.fields)), np.nan)
+        for k, place in enumerate(layout.fields):
+            if place is not None:
+                kind = np.dtype(place[1])
+                raw = buffer[offset[:, None] + np.arange(place[0], place[0] + kind.itemsize)]
+                values[:, k] = raw.view(kind)[:, 0]
+        return values

@@ -23,14 +23,10 @@ class BagError(ValueError):
         return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
 
 
-class PointerError(BagError):
-    """Says that a file only stands for another one that was not fetched."""
-
-
 def refuse_pointer(path: Path) -> None:
-    """Raise PointerError if ``path`` only stands for a file that was not fetched, OSError."""
+    """Raise BagError if ``path`` only stands for a file that was not fetched, OSError."""
     with path.open("rb") as stream:
         head = stream.read(100)
     for begin, (name, remedy) in POINTERS.items():
         if head.startswith(begin):
-            raise PointerError(f"{path} is {name}, not the file itself; run {remedy}")
+            raise BagError(f"{path} is {name}, not the file itself; run {remedy}")

@@ -3,23 +3,22 @@
 """Reads MCAP files into arrays: one column for times, offsets and lengths of all messages.
 
 The mcap library makes one Python object of each message, some 10 µs; a compiled walk over the records of a
-chunk takes some 10 ns. Everything but messages (schemas, channels, chunk headers) is read with the library.
+chunk takes some 10 ns. Everything but messages (schemas, channels, chunks) is read with the library.
 """
 
 import struct
-import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import lz4.frame
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Chunk, Schema
+from mcap.stream_reader import get_chunk_data_stream
 
 from valve_control.arrays import Bytes, Integers
 from valve_control.control.compiling import compile_function
@@ -27,63 +26,43 @@ from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.messages import Block, Topic, absolute, full_type
 
 MAGIC = b"\x89MCAP0\r\n"
-WINDOW = 100_000  # messages, records
-CHUNK_HEAD = struct.Struct("<QQQII")  # times, uncompressed size, checksum, length of the compression's name
-# Raised for a damaged chunk; OverflowError: its size has more than 63 bits.
-DAMAGE = (zstandard.ZstdError, struct.error, RuntimeError, ValueError, EOFError, MemoryError, OverflowError)
+WINDOW = 100_000  # records
+HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")])  # of a message
+# Raised for a damaged record; OverflowError: its size has more than 63 bits.
+DAMAGE = (
+    McapError, zstandard.ZstdError, struct.error, RuntimeError, ValueError, EOFError, MemoryError,
+    OverflowError,
+)  # fmt: skip
 
 
-def _little_endian(buffer: Any, at: int, size: int) -> int:
-    value = 0
-    for i in range(size):
-        value |= int(buffer[at + i]) << (8 * i)
-    return value
+def _walk(buffer: Any, start: int, records: Any) -> Any:
+    """Walk over the records from ``start``; returns where it stopped and how many it found.
 
-
-def _walk(buffer: Any, start: int, end: int, messages: Any, others: Any) -> Any:
-    """Walk over the records from ``start``; returns where it stopped and how many of each kind it found.
-
-    ``messages`` (n×6) takes channel, log time, publish time, sequence, offset and length of the data;
-    ``others`` (m×3) opcode, offset and length. It stops at a torn record, or where either is full.
+    ``records`` (n×3) takes opcode, offset and length. It stops at a torn record, and where that is full.
     """
-    at, count, rest = start, 0, 0
-    while at + 9 <= end and count < messages.shape[0] and rest < others.shape[0]:
-        opcode = int(buffer[at])
-        length = _little_endian(buffer, at + 1, 8)
-        body = at + 9
-        if length < 0 or length > end - body:
+    at, count = start, 0
+    while at + 9 <= buffer.shape[0] and count < records.shape[0]:
+        length = 0
+        for i in range(8):
+            length |= int(buffer[at + 1 + i]) << (8 * i)
+        if length < 0 or length > buffer.shape[0] - at - 9:
             break
-        if opcode == 5:
-            if length < 22:
-                break
-            messages[count, 0] = _little_endian(buffer, body, 2)
-            messages[count, 1] = _little_endian(buffer, body + 6, 8)
-            messages[count, 2] = _little_endian(buffer, body + 14, 8)
-            messages[count, 3] = _little_endian(buffer, body + 2, 4)
-            messages[count, 4] = body + 22
-            messages[count, 5] = length - 22
-            count += 1
-        else:
-            others[rest, 0] = opcode
-            others[rest, 1] = body
-            others[rest, 2] = length
-            rest += 1
-        at = body + length
-        if opcode == 2:
+        records[count, 0], records[count, 1], records[count, 2] = int(buffer[at]), at + 9, length
+        count += 1
+        at += 9 + length
+        if buffer[at - 9 - length] == 2:
             break
-    return at, count, rest
+    return at, count
 
 
 def _windows(buffer: Bytes, start: int) -> Iterator[tuple[Integers, Integers, int]]:
     """Yield messages, other records (see ``_walk``) and their end, from ``start`` up to a torn record."""
-    at, before = start, -1
-    while at < len(buffer) and at > before:
-        before = at
-        messages = np.empty((WINDOW, 6), dtype=np.int64)
-        others = np.empty((WINDOW, 3), dtype=np.int64)
-        at, count, rest = compile_function(_walk)(buffer, at, len(buffer), messages, others)
-        if count or rest:
-            yield messages[:count], others[:rest], int(at)
+    at, count = start, 1
+    while count:
+        records = np.empty((WINDOW, 3), dtype=np.int64)
+        at, count = compile_function(_walk)(buffer, at, records)
+        messages = (records[:count, 0] == Opcode.MESSAGE) & (records[:count, 2] >= HEAD.itemsize)
+        yield records[:count][messages], records[:count][~messages], int(at)
 
 
 class McapFile:
@@ -106,14 +85,9 @@ class McapFile:
         if bytes(self._buffer[: len(MAGIC)]) != MAGIC:
             raise BagError(f"{path} is not an MCAP file: it does not begin with MCAP's magic bytes")
         self._chunks: list[tuple[int, int]] = []  # beginnings and lengths of their records
-        self._damaged: set[int] = set()  # places of the chunks that are left out
+        self.damaged: set[int] = set()  # beginnings of the chunks that are left out, of those read so far
         self._loose = False  # whether messages stand outside of chunks
         self._index()
-
-    @property
-    def damaged_chunks(self) -> int:
-        """Number of chunks that are left out, of those read so far."""
-        return len(self._damaged)
 
     def close(self) -> None:
         """Release the file."""
@@ -122,37 +96,33 @@ class McapFile:
     def blocks(self) -> Iterator[Block]:
         """Yield all messages."""
         if self._loose:
-            for messages, _, _ in _windows(self._buffer, len(MAGIC)):
-                yield from self._block(self._buffer, messages)
+            yield from self._blocks(self._buffer, len(MAGIC))
         for place in self._chunks:
-            content = self._content(*place)
-            for messages, _, _ in _windows(content, 0):
-                yield from self._block(content, messages)
+            yield from self._blocks(self._content(*place), 0)
 
-    def _block(self, buffer: Bytes, messages: Integers) -> Iterator[Block]:
-        if len(messages) == 0:
-            return
-        channel, log, publish, sequence, offset, length = np.ascontiguousarray(messages.T)
-        topic = self._topic_of[channel]
-        publish = np.where(publish == 0, log, publish)
-        block = Block(buffer, topic, log, publish, sequence, np.arange(len(topic)), offset, length)
-        yield block if (topic >= 0).all() else block.select(topic >= 0)
+    def _blocks(self, buffer: Bytes, start: int) -> Iterator[Block]:
+        for messages, _, _ in _windows(buffer, start):
+            _, offset, length = np.ascontiguousarray(messages.T)
+            head = np.ascontiguousarray(buffer[offset[:, None] + np.arange(HEAD.itemsize)]).view(HEAD)[:, 0]
+            log, publish, sequence = (head[name].astype(np.int64) for name in ("log", "publish", "sequence"))
+            topic, publish = self._topic_of[head["channel"]], np.where(publish == 0, log, publish)
+            place, at = np.arange(len(topic)), offset + HEAD.itemsize
+            block = Block(buffer, topic, log, publish, sequence, place, at, length - HEAD.itemsize)
+            if len(topic):
+                yield block if (topic >= 0).all() else block.select(topic >= 0)
 
     def _index(self) -> None:
         """Find chunks, schemas and channels; a finished file repeats the last two in its summary."""
-        finished = False
-        end = len(MAGIC)
-        for messages, others, reached in _windows(self._buffer, len(MAGIC)):
-            end = reached
+        finished, rest = False, self.size
+        for messages, others, end in _windows(self._buffer, len(MAGIC)):
+            rest = self.size - end
             self._loose = self._loose or len(messages) > 0
             self._learn(self._buffer, others)
-            for opcode, begin, length in others.tolist():
-                if opcode == Opcode.CHUNK and length >= CHUNK_HEAD.size:
-                    self._chunks.append((begin, length))
-                finished = opcode == Opcode.FOOTER
+            self._chunks += [(at, length) for opcode, at, length in others.tolist() if opcode == Opcode.CHUNK]
+            finished = finished or Opcode.FOOTER in others[:, 0]
         if not finished:
             self._complain(
-                f"{self.path} is unfinished or damaged: its last {self.size - end} bytes are no whole record "
+                f"{self.path} is unfinished or damaged: its last {rest} bytes are no whole record "
                 "(valve-control bag recover writes a finished copy)"
             )
         if not finished or not self.topics:
@@ -163,9 +133,7 @@ class McapFile:
 
     def _learn(self, buffer: Bytes, others: Integers) -> None:
         """Take in the schemas and channels among ``others``."""
-        for opcode, begin, length in others.tolist():
-            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
-                continue
+        for opcode, begin, length in others[np.isin(others[:, 0], (Opcode.SCHEMA, Opcode.CHANNEL))].tolist():
             stream = ReadDataStream(BytesIO(buffer[begin : begin + length].tobytes()))
             try:
                 if opcode == Opcode.SCHEMA:
@@ -175,7 +143,7 @@ class McapFile:
                     channel = Channel.read(stream)
                     if self._topic_of[channel.id] < 0:
                         self._topic_of[channel.id] = self._topic(channel)
-            except (McapError, struct.error, ValueError, MemoryError) as error:
+            except DAMAGE as error:
                 self._complain(f"{self.path}: a schema or channel is damaged: {type(error).__name__}")
 
     def _topic(self, channel: Channel) -> int:
@@ -189,33 +157,23 @@ class McapFile:
             channel.metadata.get("topic_type_hash", ""),
             channel.metadata.get("offered_qos_profiles", ""),
         )
-        for i, known in enumerate(self.topics):
-            if (known.name, known.type, known.encoding) == (topic.name, topic.type, topic.encoding):
-                return i
+        known = [(one.name, one.type, one.encoding) for one in self.topics]
+        if topic[:3] in known:
+            return known.index(topic[:3])
         self.topics.append(topic)
-        return len(self.topics) - 1
+        return len(known)
 
-    def _content(self, begin: int, record: int) -> Bytes:
+    def _content(self, begin: int, length: int) -> Bytes:
         """Uncompressed records of a chunk; none, and a note in ``problems``, if it is damaged."""
         try:
-            _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(self._buffer.data, begin)
-            at = begin + CHUNK_HEAD.size
-            compression = bytes(self._buffer[at : at + name_length]).decode()
-            content = self._buffer[at + name_length + 8 : begin + record]
-            if compression == "zstd":
-                content = np.frombuffer(zstandard.decompress(content.data, size), dtype=np.uint8)
-            elif compression == "lz4":
-                content = np.frombuffer(lz4.frame.decompress(content.data), dtype=np.uint8)
-            elif compression != "":
-                raise ValueError(f"compression {compression!r} is not known")
-            if crc and zlib.crc32(content.data) != crc:
-                raise ValueError("its checksum is wrong")
+            chunk = Chunk.read(ReadDataStream(BytesIO(self._buffer[begin : begin + length].tobytes())))
+            stream, size = get_chunk_data_stream(chunk, validate_crc=True)
         except DAMAGE as error:
             reason = (str(error) or type(error).__name__).splitlines()[0]
-            self._damaged.add(begin)
+            self.damaged.add(begin)
             self._complain(f"{self.path}: the chunk at byte {begin} is damaged and left out: {reason}")
             return np.empty(0, dtype=np.uint8)
-        return content
+        return np.frombuffer(stream.read(size), dtype=np.uint8)
 
     def _complain(self, text: str) -> None:
         if text not in self.problems:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads and writes metadata.yaml of rosbag2 bags: reads versions 1 to 9, writes 9 (ROS 2 Jazzy)."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
@@ -23,14 +23,14 @@ POLICIES = ("history", "reliability", "durability", "liveliness")
 
 
 class Listing(NamedTuple):
-    """What a reader needs of a metadata.yaml."""
+    """What a reader needs of a metadata.yaml; without arguments that of a bag without one."""
 
-    version: int
-    distribution: str
-    compression: str  # file, message or ""
-    message_count: int
-    files: tuple[str, ...]
-    formats: dict[str, str]  # serialization by topic, where it is another than CDR
+    version: int | None = None
+    distribution: str = ""
+    compression: str = ""  # file, message or ""
+    message_count: int = 0
+    files: tuple[str, ...] = ()
+    formats: Mapping[str, str] = {}  # serialization by topic, where it is another than CDR
 
 
 # Writing

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.sqlite import SALVAGE
 from valve_control.recordings.bags.writer import BagWriter
 
 
@@ -33,16 +34,17 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
         if bag.table is not None:
             raise BagError(f"{path} is a table; only bags are recovered")
         count = sum(len(block.topic) for _, block in bag.blocks(bag.topics))
-        bag.refuse_salvage()
-        listed = metadata.read(path).message_count if bag.version is not None else None
-        lost = None if listed is None else max(0, listed - count)
+        if bag.damaged and bag.storage == "sqlite3":
+            raise BagError(f"{path} is damaged; {SALVAGE}")
+        listed = bag.listing.message_count
+        lost = None if bag.listing.version is None else max(0, listed - count)
         if lost:
             bag.problems.append(f"metadata.yaml names {listed} messages, the files hold {count}")
         whole = count == 0 or not bag.problems
         place = path if path.name.strip(".") else path.resolve()
         beside = place.with_name(f"{place.name if place.is_dir() else place.stem}_recovered")
         target = None if whole else _copied(bag, out or beside)
-        return Recovered(path, target, count, lost, bag.damaged_chunks, bag.problems)
+        return Recovered(path, target, count, lost, bag.damaged, bag.problems)
 
 
 def _copied(bag: Bag, out: Path) -> Path:

@@ -5,19 +5,15 @@
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from valve_control.arrays import Integers
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.messages import Block, Topic, absolute, full_type
 
 MAGIC = b"SQLite format 3\0"
 LOGGED = b"\2\2"  # two bytes behind magic and page size: changes go into a write-ahead log
-ROWS = 500
-PIECES = 100
+ROWS = 5000  # of a block
 DAMAGE = (sqlite3.Error, KeyError, TypeError, ValueError, OverflowError)
 SALVAGE = "sqlite3's own recovery reads what is left of it: sqlite3 FILE .recover | sqlite3 NEW.db3"
 TIMES = "valve_control_times"  # source times and sequence numbers, which rosbag2's own tables lack
@@ -32,8 +28,7 @@ class SqliteFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.problems: list[str] = []
-        self.topics: list[Topic] = []
-        self.damaged = False
+        self.damaged: set[int] = set()  # 0 once a damaged place was met
         with path.open("rb") as stream:
             head, mode = stream.read(len(MAGIC)), stream.read(len(LOGGED) + 2)[2:]
         self.size = path.stat().st_size
@@ -46,11 +41,13 @@ class SqliteFile:
         log = real.with_name(real.name + "-wal")
         if log.exists() and log.stat().st_size > 0:
             self.problems.append(f"{path}: a part of it is in {log.name} beside it, the two belong together")
+        # Whoever writes to a database with a log has one: without, nobody does, and none is made.
+        access = "mode=ro&immutable=1" if mode == LOGGED and not log.exists() else "mode=ro"
         try:
-            # Whoever writes to a database with a log has one: without, nobody does.
-            self._db = opened(path, immutable=mode == LOGGED and not log.exists())
+            self._db = sqlite3.connect(f"{real.as_uri()}?{access}", uri=True)
         except sqlite3.Error as error:
             raise BagError(f"{path} cannot be opened: {error}") from error
+        self._db.text_factory = lambda data: data.decode(errors="replace")
         try:
             self._learn()
         except BagError:
@@ -61,37 +58,30 @@ class SqliteFile:
             raise BagError(f"{path} is not a bag that can be read: {error} ({SALVAGE})") from error
 
     def _learn(self) -> None:
-        self._tables = {
-            name for (name,) in self._db.execute("SELECT name FROM sqlite_master WHERE type='table'")
-        }
+        self._tables = {n for (n,) in self._db.execute("SELECT name FROM sqlite_master WHERE type='table'")}
         for table in ("topics", "messages"):
             if table not in self._tables:
                 raise BagError(f"{self.path} is not a bag: it has no table '{table}'")
         definitions: dict[str, tuple[str, str]] = {}
         if "message_definitions" in self._tables:
-            for row in self._db.execute(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-            ):
-                name, encoding, text = row
-                definitions[name] = (encoding, text)
-        self._ids: dict[int, int] = {}
+            columns = "topic_type, encoding, encoded_message_definition"
+            found = self._db.execute(f"SELECT {columns} FROM message_definitions")
+            definitions = {name: (encoding, text) for name, encoding, text in found}
         cursor = self._db.execute("SELECT * FROM topics")
-        columns = [entry[0] for entry in cursor.description]
-        for row in cursor:
-            entry = dict(zip(columns, row, strict=True))
-            encoding, text = definitions.get(entry["type"], ("", ""))
-            self._ids[entry["id"]] = len(self.topics)
-            self.topics.append(
-                Topic(
-                    absolute(entry["name"]),
-                    full_type(entry["type"]),
-                    entry.get("serialization_format", "cdr"),
-                    encoding,
-                    text,
-                    entry.get("type_description_hash", ""),
-                    entry.get("offered_qos_profiles", ""),
-                )
+        names = [entry[0] for entry in cursor.description]
+        entries = [dict(zip(names, row, strict=True)) for row in cursor]
+        self._index = {entry["id"]: i for i, entry in enumerate(entries)}
+        self.topics = [
+            Topic(
+                absolute(entry["name"]),
+                full_type(entry["type"]),
+                entry.get("serialization_format", "cdr"),
+                *definitions.get(entry["type"], ("", "")),
+                entry.get("type_description_hash", ""),
+                entry.get("offered_qos_profiles", ""),
             )
+            for entry in entries
+        ]
 
     def close(self) -> None:
         """Close the file."""
@@ -104,56 +94,22 @@ class SqliteFile:
         query = f"SELECT topic_id, timestamp, {columns}, data FROM messages {times} ORDER BY id"
         try:
             cursor = self._db.execute(query)
-            while (block := self._block(cursor)) is not None:
-                yield block if (block.topic >= 0).all() else block.select(block.topic >= 0)
+            while rows := cursor.fetchmany(ROWS):
+                *numbers, data = zip(*rows, strict=True)
+                number, stamp, publish, sequence = np.array(numbers, dtype=np.int64)
+                topic = np.array([self._index.get(n, -1) for n in number.tolist()], dtype=np.int64)
+                length = np.fromiter(map(len, data), dtype=np.int64, count=len(data))
+                block = Block(
+                    np.frombuffer(b"".join(data), dtype=np.uint8),
+                    topic,
+                    stamp,
+                    np.where(publish == 0, stamp, publish),
+                    sequence,
+                    np.arange(len(data)),
+                    np.cumsum(length) - length,
+                    length,
+                )
+                yield block if (topic >= 0).all() else block.select(topic >= 0)
         except DAMAGE as error:
-            self.damaged = True
+            self.damaged.add(0)
             self.problems.append(f"{self.path} is damaged, what follows is left out: {error} ({SALVAGE})")
-
-    def _topics_of(self, numbers: Integers) -> Integers:
-        """Topics of messages by the ``numbers`` of the database, -1 for one that has none."""
-        known = np.array(sorted(self._ids), dtype=np.int64)
-        if not len(known):
-            return np.full(len(numbers), -1, dtype=np.int64)
-        topics = np.array([self._ids[number] for number in known.tolist()], dtype=np.int64)
-        at = np.minimum(np.searchsorted(known, numbers), len(known) - 1)
-        return np.where(known[at] == numbers, topics[at], -1)
-
-    def _block(self, cursor: sqlite3.Cursor) -> Block | None:
-        """The next messages; fetched in pieces that fit in the processor's cache, which is twice as fast."""
-        numbers: list[npt.NDArray[Any]] = []
-        datas: list[bytes] = []
-        lengths: list[npt.NDArray[Any]] = []
-        for _ in range(PIECES):
-            rows = cursor.fetchmany(ROWS)
-            if not rows:
-                break
-            *columns, data = zip(*rows, strict=True)
-            numbers.append(np.array(columns, dtype=np.int64))
-            lengths.append(np.fromiter(map(len, data), dtype=np.int64, count=len(data)))
-            datas.append(b"".join(data))
-        if not numbers:
-            return None
-        topic, stamp, publish, sequence = np.concatenate(numbers, axis=1)
-        length = np.concatenate(lengths)
-        return Block(
-            np.frombuffer(b"".join(datas), dtype=np.uint8),
-            self._topics_of(topic),
-            stamp,
-            np.where(publish == 0, stamp, publish),
-            sequence,
-            np.arange(len(topic)),
-            np.cumsum(length) - length,
-            length,
-        )
-
-
-def opened(path: Path, immutable: bool) -> sqlite3.Connection:
-    """Open a database read-only; ``immutable``: nobody writes, and SQLite makes no file beside it.
-
-    A text that is damaged is read with replacement characters. Raises sqlite3.Error.
-    """
-    mode = "mode=ro&immutable=1" if immutable else "mode=ro"
-    database = sqlite3.connect(f"{path.resolve().as_uri()}?{mode}", uri=True)
-    database.text_factory = lambda data: data.decode(errors="replace")
-    return database

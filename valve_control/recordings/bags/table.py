@@ -30,6 +30,7 @@ class TableFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.problems: list[str] = []
+        self.damaged: set[int] = set()
         refuse_pointer(path)
         self.size = path.stat().st_size
         reader = matlab.read if KINDS[path.suffix.lower()] == MATLAB else columns.read
