@@ -234,7 +234,7 @@ class Recorder(Worker):
         except BagError as error:
             raise ParameterError(str(error)) from error
         self._captured = ParameterCapture(self, self._write_parameters)
-        self._record(EVENTS, EVENT_TYPE, [])
+        self._record(EVENTS, EVENT_TYPE, self.get_publishers_info_by_topic(EVENTS))
         now = time.monotonic()
         self._next = self._look_at = now
         self._flush_at = now + use.flush_period
