@@ -373,7 +373,8 @@ class Recorder(Worker):
             named = any(pattern.fullmatch(topic) for pattern in self._settings.patterns)
             if not named and set(types) & {*SIGNALS} and self.count_publishers(topic):
                 node = f"{namespace.rstrip('/')}/{name}"
-                self._overlooked[topic] = f"{node} takes {topic}, which is not recorded: name it in topics"
+                text = f"{node} takes {topic}, which is not recorded: name it in topics"
+                self._overlooked.setdefault(topic, text)
 
     def _type_of(self, name: str, infos: Sequence[Any]) -> str:
         """Type with which this package's nodes use a topic, else the most frequent one.
