@@ -12,7 +12,7 @@ import pytest
 from bench import Bench, call, controller, get_double, spin_until
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import GetParameters, SetParameters
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_parameters
 from std_srvs.srv import SetBool, Trigger
@@ -117,9 +117,6 @@ def test_a_request_that_makes_no_sense_is_refused_and_the_node_goes_on(ros, tmp_
         results = call(ros, SetParameters, "/controller/set_parameters", request).results
         assert [result.successful for result in results] == [False, False, True]
         assert all(result.reason for result in results[:2]) and "arc.k7" in results[1].reason
-        names = GetParameters.Request(names=["arc.k1"] * 10000)
-        assert call(ros, GetParameters, "/controller/get_parameters", names).values == []
-        assert "10000" in (tmp_path / "c.log").read_text()
         assert get_double(ros, "arc.k1") == 77.0
         bench.sample(0.1)
         assert child.poll() is None

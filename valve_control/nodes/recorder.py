@@ -234,7 +234,7 @@ class Recorder(Worker):
         except BagError as error:
             raise ParameterError(str(error)) from error
         self._captured = ParameterCapture(self, self._write_parameters)
-        self._record(EVENTS, EVENT_TYPE, [])
+        self._record(EVENTS, EVENT_TYPE, self.get_publishers_info_by_topic(EVENTS))
         now = time.monotonic()
         self._next = self._look_at = now
         self._flush_at = now + use.flush_period
@@ -373,7 +373,8 @@ class Recorder(Worker):
             named = any(pattern.fullmatch(topic) for pattern in self._settings.patterns)
             if not named and set(types) & {*SIGNALS} and self.count_publishers(topic):
                 node = f"{namespace.rstrip('/')}/{name}"
-                self._overlooked[topic] = f"{node} takes {topic}, which is not recorded: name it in topics"
+                text = f"{node} takes {topic}, which is not recorded: name it in topics"
+                self._overlooked.setdefault(topic, text)
 
     def _type_of(self, name: str, infos: Sequence[Any]) -> str:
         """Type with which this package's nodes use a topic, else the most frequent one.
