@@ -121,14 +121,13 @@ def compensation_bound(p: dcarc.Params, position: float, rate: float, accel: flo
 
     The inverse's inner states are bounded by the sum of the magnitudes of its impulse response.
     """
-    inner = np.array(p.full[:-2])  # rows: what ζ and its derivatives of now lead to
-    pushed = np.abs(np.array(p.full)[:, 4:]) @ [position, rate]
+    inner, given = np.hsplit(np.array(p.full), [4])  # what ζ and its derivatives of now, and r, lead to
+    pushed = np.abs(given) @ [position, rate]
     peak, power = np.zeros(len(inner)), np.eye(len(inner))
     while np.max(np.abs(power) @ pushed) > 1e-9 * np.max(peak + pushed):
         peak += np.abs(power) @ pushed
-        power = inner.T @ power
-    half = np.abs(np.array(p.half[:-2])).T @ peak
-    half += np.abs(np.array(p.half)[:, 4:]) @ [position, rate]
+        power = inner @ power
+    half = np.abs(np.array(p.half)) @ [*peak, position, rate]
     voltage = float(np.abs(np.array(p.model_voltage)) @ [*half, position, rate, accel, 0.0])
     most = least_squares.Weights(voltage, 1.0, 1.0, 1.0, 1.0, position, 1.0, rate, accel)
     span = np.maximum(np.abs(p.theta_min), np.abs(p.theta_max))

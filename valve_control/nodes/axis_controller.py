@@ -117,9 +117,8 @@ class AxisController(Managed):
         self._joints = PolledSubscription(self, JointState, "joint_states", qos)
         self._wanted = NumberSubscription(self, "goal_position", SAMPLES)
         self._trajectories = PolledSubscription(self, JointTrajectory, "joint_trajectory", SAMPLES)
-        self._rooms = {
-            room: PolledSubscription(self, FluidPressure, f"pressure_{room}", qos) for room in ("a", "b")
-        }
+        room_a = PolledSubscription(self, FluidPressure, "pressure_a", qos)
+        self._rooms = {"a": room_a, "b": PolledSubscription(self, FluidPressure, "pressure_b", qos)}
 
     def close(self) -> None:
         """Destroy publishers and subscriptions."""

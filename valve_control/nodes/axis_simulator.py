@@ -48,7 +48,8 @@ class AxisSimulator(Worker):
         self._shown: float | None = None  # m  position that was published last
         self._follow = compile_function(machine.followed)
         self._joints = self.create_publisher(JointState, "joint_states", SAMPLES)
-        self._rooms = [self.create_publisher(FluidPressure, f"pressure_{room}", SAMPLES) for room in "ab"]
+        room_a = self.create_publisher(FluidPressure, "pressure_a", SAMPLES)
+        self._rooms = room_a, self.create_publisher(FluidPressure, "pressure_b", SAMPLES)
         self._joint, self._pressure = JointState(), FluidPressure()
         ParameterSet(self, AXIS, self._build, self._apply, alone=False)
 

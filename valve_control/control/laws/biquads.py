@@ -58,6 +58,11 @@ class Terms(NamedTuple):
 PASS = Section(1.0, 0.0, 0.0, 0.0, 0.0)
 
 
+def static_params(valve_gain: float, u_max: float) -> Params:
+    """The open loop without compensator: command divided by the valve's static gain [V/V]."""
+    return Params(PASS._replace(b0=1.0 / valve_gain), PASS, PASS, 1.0 / valve_gain, u_max)
+
+
 def gain(g: Section) -> float:
     """Static gain of one section."""
     return (g.b0 + g.b1 + g.b2) / (1.0 + g.a1 + g.a2)

@@ -20,9 +20,7 @@ PARAMETERS: Table = (
 
 def build(values: Values) -> biquads.Params:
     """Params of the static gain from the controller's values."""
-    inverse = 1.0 / number(values, "open_loop.static_gain")
-    section = biquads.Section(inverse, 0.0, 0.0, 0.0, 0.0)
-    return biquads.Params(section, biquads.PASS, biquads.PASS, inverse, number(values, "u_max"))
+    return biquads.static_params(number(values, "open_loop.static_gain"), number(values, "u_max"))
 
 
 LAW = Law(

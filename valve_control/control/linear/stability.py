@@ -153,13 +153,8 @@ def stable_gains(law: Law, params: Any, valves: LinearValves) -> tuple[int | Non
     linear = linear_loop.linear_law(law, params, frozen=True)
     steps = np.arange(1, FARTHEST + 1)
     factors = 10.0 ** (np.concatenate([-steps, steps]) / 20.0)
-    gained = valves._replace(
-        a=np.repeat(valves.a, len(factors), axis=0),
-        b=factors[:, None] * valves.b,
-        now=np.repeat(valves.now, len(factors), axis=0),
-        before=np.repeat(valves.before, len(factors), axis=0),
-        late=np.repeat(valves.late, len(factors)),
-    )
+    gained = LinearValves._make(np.repeat(field, len(factors), axis=0) for field in valves)
+    gained = gained._replace(b=factors[:, None] * gained.b)
     poles = np.abs(linear_loop.dominant_poles(linear, gained)).reshape(2, -1)
     down, up = (int(steps[np.argmax(row)]) if np.any(row) else None for row in poles <= STABLE)
     return down, up

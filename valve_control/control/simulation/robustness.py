@@ -233,13 +233,6 @@ def folder_name(study: Study) -> str:
     return f"study-{word(study.settings['controller'], 'controller')}-{_digest(study)[:8]}"
 
 
-def chunk_of(study: Study) -> int:
-    """Number of valves in a file: a power of two, as a Sobol sequence wants it."""
-    samples = parameter.number(study.settings["command_source"], "duration") / min(study.periods)
-    valves = max(LANES, int(STEPS / samples))
-    return min(CHUNK, 1 << (valves.bit_length() - 1))
-
-
 def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> StudyResult:
     """Simulate the valves whose results ``folder`` lacks, chunk by chunk; returns all results.
 
@@ -249,7 +242,9 @@ def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> S
     check_numbers(study, 0, study.valves)
     build.commands(sampled(study, "command_source", max(study.periods)))
     folder.mkdir(parents=True, exist_ok=True)
-    digest, chunk = _digest(study), chunk_of(study)
+    samples = parameter.number(study.settings["command_source"], "duration") / min(study.periods)
+    valves = max(LANES, int(STEPS / samples))
+    digest, chunk = _digest(study), min(CHUNK, 1 << (valves.bit_length() - 1))  # a power of two, as Sobol's
     paths = {first: folder / f"valves_{first:08d}.npz" for first in range(0, study.valves, chunk)}
     stored = {first: _read(path, digest) for first, path in paths.items() if path.exists()}
     parts = {first: part for first, part in stored.items() if part is not None}

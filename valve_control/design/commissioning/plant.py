@@ -16,7 +16,7 @@ import scipy.optimize
 
 from valve_control.arrays import Floats
 from valve_control.control import closed_loop
-from valve_control.control.laws import biquads, open_loop
+from valve_control.control.laws import biquads
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant import registry, valve
 from valve_control.control.plant.models import TransferFunction
@@ -172,7 +172,7 @@ def positions(plant: Any, voltage: Floats, begin: float | None = None) -> Floats
     The spool rests where the reading is ``begin`` [V]: friction may hold it off the centre, and does so after
     any motion. None, and a plant whose module has no ``standing``: in the centre.
     """
-    law = open_loop.build({"open_loop.static_gain": 1.0, "u_max": plant.u_max})
+    law = biquads.static_params(1.0, plant.u_max)
     rest = biquads.initial(law, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     module = registry.plant_of(plant).module
     state = module.initial(plant)
