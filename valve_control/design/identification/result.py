@@ -274,6 +274,8 @@ def as_dict(found: Identification) -> dict[str, Any]:
     about["theta"] = dict(zip(("initial", "min", "max"), known.theta, strict=True))
     parts = {"lvdt": known.lvdt, "friction": known.friction, "characteristic": found.curve}
     about |= {name: plain(part) for name, part in parts.items() if part is not None}
+    if found.curve is not None:
+        about["characteristic"]["half_of_hysteresis"] = about["characteristic"].pop("shares")
     return {**about, "gains": found.gains, "notes": list(found.notes)}
 
 
