@@ -3,7 +3,6 @@
 """Draws the paper's figures from our runs."""
 
 from collections.abc import Mapping
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -147,7 +146,7 @@ def figure_3(runs: Mapping[str, Trace], gain: float, u_max: float) -> Figure:
     ):
         colours[label] = colours[labels[like]]
         lines[label] = (GRID, _compensated(transfer, GRID), True)
-        corner_of = bode.corners(partial(_compensated, transfer))
+        corner_of = bode.corners(bode.GRID, _compensated(transfer, bode.GRID))
         gain_db = float(_decibels(_compensated(transfer, np.zeros(1)))[0])
         notes.append(
             f"{label}, linear: {gain_db:+.1f} dB at 0 Hz, from there -3 dB {_hertz(corner_of[0])}, "
