@@ -41,7 +41,7 @@ def settled_ratio(model, frequency, period, delay=0):
 
 
 @pytest.mark.parametrize("model", [SECOND_ORDER, FOURTH_ORDER])
-@pytest.mark.parametrize(("frequency", "delay"), [(1.0, 0), (6.0, 3), (40.0, 0.4), (180.0, 2.7)])
+@pytest.mark.parametrize(("frequency", "delay"), [(1.0, 1.5), (6.0, 0.4), (40.0, 0), (180.0, 2)])
 def test_held_response_is_that_of_the_simulated_valve(model, frequency, delay):
     got = bode.held_response(model, np.array([frequency]), 0.002, delay * 0.002)[0]
     assert abs(got / settled_ratio(model, frequency, 0.002, delay) - 1.0) < 1e-6

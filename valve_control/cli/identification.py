@@ -61,25 +61,7 @@ def add_commands(commands: Any) -> None:
         "bag", nargs="?", metavar="BAG", help="recorded stepped sine, sweep or other motion"
     )
     bag_options(identify.add_argument_group("with a bag"))
-    _fit_options(identify.add_argument_group("measurement and fit"))
-    output = identify.add_argument_group("output")
-    output.add_argument(
-        "--output", metavar="FILE", help="ROS 2 parameter file: valve model, compensator's model, estimates"
-    )
-    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    output.add_argument(
-        "--characteristic",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="with --friction: draw the characteristic curve in both directions as PNG or SVG, or write as "
-        "YAML the parameters linearisation.* of its inverse; again for more (--json has its 100 points)",
-    )
-    output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
-    identify.set_defaults(run=_identify)
-
-
-def _fit_options(group: Any) -> None:
+    group = identify.add_argument_group("measurement and fit")
     group.add_argument(
         "--settle",
         type=float,
@@ -111,6 +93,21 @@ def _fit_options(group: Any) -> None:
         help="dead time of the sensor (0 s); the rest of the dead time belongs to the actuator, because "
         "readings alone cannot distinguish the two",
     )
+    output = identify.add_argument_group("output")
+    output.add_argument(
+        "--output", metavar="FILE", help="ROS 2 parameter file: valve model, compensator's model, estimates"
+    )
+    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
+    output.add_argument(
+        "--characteristic",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="with --friction: draw the characteristic curve in both directions as PNG or SVG, or write as "
+        "YAML the parameters linearisation.* of its inverse; again for more (--json has its 100 points)",
+    )
+    output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
+    identify.set_defaults(run=_identify)
 
 
 def second_order(text: str) -> tuple[float, float, float]:

@@ -86,12 +86,6 @@ class Characteristic(NamedTuple):
             TOLD_GAIN, unsure
         )
 
-    def static(self, position: Floats) -> Floats:
-        """Voltage [V] in the middle of both directions at a ``position`` [V], by the line of its side."""
-        up, down = (position / side.gain.value + side.edge.value for side in (self.positive, self.negative))
-        voltage: Floats = np.where(position > 0.0, up, down)
-        return voltage
-
 
 def characteristic(tested: Experiment, lag: float) -> Characteristic:
     """The curve from a triangle of the voltage; ``lag`` [s] of slow motions.
@@ -103,8 +97,13 @@ def characteristic(tested: Experiment, lag: float) -> Characteristic:
     if found.overlap.value < -TOLD_OVERLAP:  # both sides act in an underlap
         return found
     slope, offset, _ = sliding(t)
-    rest = t.voltage - (found.static(t.reading) if found.lopsided else slope * t.reading + offset)
-    return found._replace(shares=shares(t, rest, slope, 0.5 * found.hysteresis.value))
+    needed = slope * t.reading + offset
+    if found.lopsided:  # in the middle of both directions, by the line of its side
+        up, down = (
+            t.reading / side.gain.value + side.edge.value for side in (found.positive, found.negative)
+        )
+        needed = np.where(t.reading > 0.0, up, down)
+    return found._replace(shares=shares(t, t.voltage - needed, slope, 0.5 * found.hysteresis.value))
 
 
 def with_friction(tested: Experiment, lag: float) -> tuple[Friction, Characteristic | None]:
@@ -136,7 +135,7 @@ def _curve(t: Triangle) -> Characteristic:
     low = max(float(np.min(u)) for u, _ in up + down)
     high = min(float(np.max(u)) for u, _ in up + down)
     grid = np.linspace(low, high, POINTS)
-    rising, falling = (np.array([np.interp(grid, *_sorted(u, x)) for u, x in part]) for part in (up, down))
+    rising, falling = (np.array([np.interp(grid, u, x) for u, x in part]) for part in (up, down))
     sides, widths = [], []
     for sign in (1.0, -1.0):
         lines = [np.array([_line(u, x, sign) for u, x in part]) for part in (up, down)]
@@ -165,16 +164,12 @@ def _middle(one: Bounded, other: Bounded) -> Bounded:
 
 
 def _static(t: Triangle, stroke: Stroke) -> tuple[Floats, Floats]:
-    """Voltage [V] that the spool answers at each sample of a stroke, and the reading [V]."""
+    """Voltage [V] that the spool answers in a stroke, rising, and the reading [V] at each."""
     first, length, direction = stroke
     u, x = t.voltage[first : first + length], t.reading[first : first + length]
     rate = abs(float(u[-1] - u[0])) / (t.period * max(1, length - 1))
-    return u - direction * rate * t.lag, x
-
-
-def _sorted(u: Floats, x: Floats) -> tuple[Floats, Floats]:
     order = np.argsort(u, kind="stable")
-    return u[order], x[order]
+    return u[order] - direction * rate * t.lag, x[order]
 
 
 def _line(u: Floats, x: Floats, sign: float) -> tuple[float, float]:
@@ -195,7 +190,8 @@ def _stop(strokes: Sequence[tuple[Floats, Floats]], sign: float, gain: float) ->
     """Position [V] of a stop on the side ``sign`` at the end of ``strokes``; None: they do not reach it."""
     ends, slopes = [], []
     for u, x in strokes:
-        last = slice(-max(LEAST_POINTS, round(END * len(u))), None)
+        count = max(LEAST_POINTS, round(END * len(u)))
+        last = slice(-count, None) if sign > 0.0 else slice(count)
         slopes.append(float(np.polyfit(u[last], x[last], 1)[0]))
         ends.append(float(np.mean(x[last])))
     return _mean(np.array(ends)) if np.mean(slopes) < FLAT * gain else None
@@ -203,9 +199,8 @@ def _stop(strokes: Sequence[tuple[Floats, Floats]], sign: float, gain: float) ->
 
 def _mean(values: Floats) -> Bounded:
     """Mean of the strokes' ``values`` with the half-width of its 95 % confidence interval."""
-    n = len(values)
-    quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, n - 1))
-    return Bounded(float(np.mean(values)), quantile * float(np.std(values, ddof=1)) / math.sqrt(n))
+    quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1))
+    return Bounded(float(np.mean(values)), quantile * float(scipy.stats.sem(values)))
 
 
 def notes(found: Characteristic) -> list[str]:

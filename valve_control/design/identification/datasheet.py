@@ -11,9 +11,9 @@ from valve_control.design.identification.result import Identification
 from valve_control.parameter import Parameter, ParameterError, Values, number
 
 GIVEN = (
-    Parameter("natural frequency", 18.0, "Hz", "", 0.05, 10000.0),
-    Parameter("damping", 0.8, "-", "", 0.01, 100.0),
-    Parameter("static gain", 1.0, "V/V", "", 0.001, 1000.0),
+    Parameter("--second-order: natural frequency", 18.0, "Hz", "", 0.05, 10000.0),
+    Parameter("--second-order: damping", 0.8, "-", "", 0.01, 100.0),
+    Parameter("--second-order: static gain", 1.0, "V/V", "", 0.001, 1000.0),
 )
 SETTABLE = ("sample_period", "u_max", "lvdt.noise", "lvdt.resolution", "lvdt.delay")  # what else may be known
 
@@ -25,10 +25,7 @@ def second_order(frequency: float, damping: float, static_gain: float, valve: Va
     """
     period, u_max = number(valve, "sample_period"), number(valve, "u_max")
     for row, value in zip(GIVEN, (frequency, damping, static_gain), strict=True):
-        try:
-            row.check(value)
-        except ParameterError as error:
-            raise ParameterError(f"--second-order: {error}") from error
+        row.check(value)
     if frequency >= 0.5 / period:
         raise ParameterError(
             f"--second-order: the natural frequency is {frequency:g} Hz, not below Nyquist's frequency, "

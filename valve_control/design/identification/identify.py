@@ -69,12 +69,14 @@ def identified(
     rubbing, curve = None, None
     for _ in range(0 if triangle is None else ROUNDS):
         assert triangle is not None
-        lag = friction.lag_of(fits[-1].model, fits[-1].delay)
-        rubbing, curve = characteristic.with_friction(triangle, lag)
-        slipping, played = _slipping(tested, rubbing, curve, measured) if tested.segments else (tested, False)
-        measured = experiment.estimate(slipping, request.settle, request.band)
-        measured = friction.unsure(measured, whole) if played else measured
-        fits = _fits(request, tested, measured)
+        rubbing, curve = characteristic.with_friction(
+            triangle, friction.lag_of(fits[-1].model, fits[-1].delay)
+        )
+        if tested.segments:
+            slipping, played = _slipping(tested, rubbing, curve, measured)
+            measured = experiment.estimate(slipping, request.settle, request.band)
+            measured = friction.unsure(measured, whole) if played else measured
+            fits = _fits(request, tested, measured)
         tell()
     return _with_gains(request, tested, measured, fits, rubbing, curve)
 

@@ -95,6 +95,7 @@ class _Form(NamedTuple):
         high = math.sqrt(float(np.sum((distance / size) ** 2)) / free)  # of a measurement without noise
         return float(scipy.optimize.brentq(excess, 0.0, high * (1.0 + 1e-9), xtol=1e-12))
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of steps that the search takes back
     def minimised(self, start: Floats, weight: Floats, latest: float) -> tuple[Floats, Floats]:
         """The unknowns from ``start`` on that make the weighted errors least, and the errors' Jacobian."""
         low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)

@@ -23,9 +23,9 @@ from valve_control.parameter import ParameterError
 LEAST_CYCLES = 2
 LEAST_SAMPLES = 8  # of a sine
 COVERED = 0.5  # of a motion, by stretches of one frequency, from which on it is a stepped sine
-SAME = 0.02  # by which cycles of one frequency may differ in length
+SAME, JITTER = 0.02, 0.75  # of its length, and samples, by which cycles of one frequency may differ
 DRIFT = 0.003  # by which the halves of a stretch of one frequency may differ
-PURE = 0.05  # of a sine's amplitude that may be left when the sine is taken off
+PURE = 0.2  # of a sine's amplitude that may be left without the sine: jitter of a clock leaves some
 LEAST_COHERENCE = 0.5
 RESOLUTION = 3.0  # standard deviations below which a response cannot be told from noise
 CERTAIN = 1e-6  # relative uncertainty that no response falls below
@@ -246,7 +246,7 @@ def find_segments(voltage: Floats, period: float) -> list[Segment]:
     found: list[Segment] = []
     first = 0
     for i in range(1, len(length) + 1):
-        tolerance = max(SAME * length[first], 0.25)
+        tolerance = max(SAME * length[first], JITTER)
         if i < len(length) and abs(length[i] - np.mean(length[first:i])) <= tolerance:
             continue
         if i - first >= LEAST_CYCLES:

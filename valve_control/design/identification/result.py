@@ -21,10 +21,7 @@ from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response
 from valve_control.parameter import Values, defaults, updated
 
-STABLE = (
-    "Gains of pid, arc, oarc, dcarc: for a first run, stable with 0.67 to 1.5 times the gain, 0.8 to",
-    "1.25 times the speed and a sample period of dead time more.",
-)
+STABLE = "Stable with 0.67 to 1.5 times the gain, 0.8 to 1.25 times the speed, one more sample of delay."
 NEAR = 1.1  # times the highest excited frequency, and over the lowest, up to which a test tells something
 
 
@@ -187,22 +184,16 @@ def check_parameters(tree: dict[str, Values]) -> None:
 
 def yaml_text(found: Identification) -> str:
     """A ROS 2 parameter file of ``parameters``."""
-    if not found.fits:
-        comments = [
-            f"Given: {found.source}",
-            "arc, oarc: bounds for 0.67 to 1.5 times the gain and 0.8 to 1.25 times the speed.",
-        ]
-    else:
+    comments = [f"Given: {found.source}"]
+    if found.fits:
         best = found.fits[-1]
         bounds = "with 95 % bounds:" if best.bounded else "(the test does not tell their bounds):"
         comments = [
             f"Identified from: {found.source}",
             f"Order {best.order}, fit error {100 * best.error:.3g} % rms; coefficients {bounds}",
             *_coefficients(best, "  {0} = {1:.7g} ± {2:.2g}"),
-            "arc, oarc: the second-order fit to begin with; bounds from its confidence and from how far it",
-            "is from the higher order over several bands of frequency.",
         ]
-    return parameter_file(parameters(found), [*comments, *STABLE])
+    return parameter_file(parameters(found), [*comments, STABLE])
 
 
 def linearisation_text(found: Identification) -> str:
@@ -283,6 +274,8 @@ def as_dict(found: Identification) -> dict[str, Any]:
     about["theta"] = dict(zip(("initial", "min", "max"), known.theta, strict=True))
     parts = {"lvdt": known.lvdt, "friction": known.friction, "characteristic": found.curve}
     about |= {name: plain(part) for name, part in parts.items() if part is not None}
+    if found.curve is not None:
+        about["characteristic"]["half_of_hysteresis"] = about["characteristic"].pop("shares")
     return {**about, "gains": found.gains, "notes": list(found.notes)}
 
 
