@@ -17,8 +17,6 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.valve import FREE
 from valve_control.control.simulation import batch
-from valve_control.design.tuning import limit_cycles, trial
-from valve_control.design.tuning.trial import GainSet
 from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001
@@ -71,8 +69,7 @@ def rubbing(coulomb, presliding, delay=0.0005):
 
 
 @pytest.mark.parametrize(
-    ("coulomb", "presliding", "delay"),
-    [(1.4, 0.035, 0.0005), (1.0, 0.03, 0.0), (1.0, 0.035, 0.0015)],
+    ("coulomb", "presliding", "delay"), [(1.4, 0.035, 0.0005), (1.0, 0.03, 0.0), (1.0, 0.035, 0.0015)]
 )
 def test_predicted_swing_is_that_of_a_run(coulomb, presliding, delay):
     """The largest over the levels of friction up to the valve's own, after a step."""
@@ -103,16 +100,3 @@ def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():
     assert margins.margins(law, params, box).swing_v[0] == pytest.approx(
         whole * (whole / box.own_swing[0] - 1.0) / (margins.GROWN - 1.0)
     )
-    motion = trial.TuningMotion("rest", np.zeros(1000))
-    problem = trial.Problem(values, [motion], plants, plants, trial.USUAL, False, 1)
-    led = limit_cycles.steps(PERIOD).wanted
-    traces = np.empty((2, len(led), 3))
-    batch.simulate(batch.Batch(law.name, params, batch.records(plants), np.ones(2, int), led), 1, traces)
-    assert np.all(limit_cycles.restless(traces[:, -1000:], PERIOD, 1.0))
-    assert limit_cycles.after_all(law, problem, GainSet({}, 0.0), plants).tolist() == [1]
-    swing = 0.5 * float(np.ptp(traces[0, -500:, 2]))
-    for limit, counted in ((0.8 * swing, [0, 1]), (1.25 * swing, [1])):
-        told = problem._replace(values={**values, "oscillation_limit": limit}, strict=True)
-        assert limit_cycles.after_all(law, told, GainSet({}, 0.0), plants).tolist() == counted
-        excused = told._replace(strict=False)
-        assert limit_cycles.after_all(law, excused, GainSet({}, 0.0), plants).tolist() == [1]
