@@ -30,15 +30,8 @@ NUMBERS: dict[str, tuple[tuple[str, float | None, str, str], ...]] = {  # name, 
         ("travel", 2.0, "V", "largest reading in both directions (2 V)"),
     ),
     "tuning": (
-        (
-            "max-chatter", None, "C_U",
-            f"limit of the chatter; a limit that you give is kept (default: {CHATTER:g}, or more if no gains "
-            "keep it)",
-        ),
-        (
-            "sensor-delay", 0.0, "S",
-            "dead time of the sensor (0 s); the rest of the dead time belongs to the actuator",
-        ),
+        ("max-chatter", None, "C_U", f"limit of c_u, kept if given ({CHATTER:g}, or more if none keep it)"),
+        ("sensor-delay", 0.0, "S", "the sensor's part of the dead time (0 s), not the actuator's"),
         ("budget", 200, "N", "number of sets of gains (200)"),
         ("valves", 6, "N", "number of valves in the search (6)"),
         ("unseen", 32, "N", "number of valves in the verification (32)"),
@@ -69,11 +62,8 @@ def add_commands(commands: Any) -> None:
         for name, usual, metavar, text in numbers:
             kind = int if isinstance(usual, int) else float
             groups[title].add_argument(f"--{name}", type=kind, default=usual, metavar=metavar, help=text)
-    groups["tuning"].add_argument(
-        "--alone",
-        action="store_true",
-        help="tune this law only, and no PID that could have a smaller error",
-    )
+    text = "tune this law only, and no PID that could have a smaller error"
+    groups["tuning"].add_argument("--alone", action="store_true", help=text)
     group = commission.add_argument_group("course of the commissioning")
     group.add_argument("--yes", action="store_true", help="do not ask before each step")
     group.add_argument(
