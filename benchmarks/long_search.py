@@ -159,8 +159,7 @@ def compared(law: Law, budget: int, times: int, seed: int) -> dict[str, Any]:
     """The tuner with ``budget`` sets of gains in each variant of ``law``, the other with ``times`` that."""
     problem, unseen = problems(law)
     began = time.monotonic()
-    aim = tuner.Aim(CHATTER)
-    found = tuner.tuned(law, problem, unseen, aim, budget, seed, lambda done: None)
+    found = tuner.tuned(law, problem, unseen, CHATTER, budget, seed, lambda done: None)
     seconds = time.monotonic() - began
     chosen = found.chosen
     long: tuple[float, GainSet | None] = (math.inf, None)
@@ -184,7 +183,7 @@ def compared(law: Law, budget: int, times: int, seed: int) -> dict[str, Any]:
         "ratio": chosen.point.error / long[0],
     }
     if long[1] is not None:
-        both = {"tuner": (chosen.variant, chosen.point.gains), "long_search": (settled, long[1])}
+        both = {"tuner": ({}, chosen.point.gains), "long_search": (settled, long[1])}
         for name, (variant, gains) in both.items():
             there = unseen._replace(values=updated(CONTROLLER, unseen.values, variant))
             (outcome,) = trial.run(law, there, [gains])

@@ -23,8 +23,8 @@ from valve_control.design.commissioning.bench import (
     Point,
     Record,
     SafetyLimits,
+    Watch,
 )
-from valve_control.design.commissioning.watch import Watch
 from valve_control.parameter import ParameterError, Value, Values, defaults, updated
 
 

@@ -127,7 +127,7 @@ def main() -> int:
                 law,
                 problem,
                 unseen,
-                tuner.Aim(arguments.limit),
+                arguments.limit,
                 arguments.trials,
                 1,
                 told,

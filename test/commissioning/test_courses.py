@@ -76,13 +76,6 @@ def test_a_sine_is_made_smaller_until_the_spool_stays_within_its_reach():
     assert max(largest[-1000:]) >= courses.REACH * 2.0 * courses.LOWER - 0.01
 
 
-def test_a_ramp_makes_no_leap_after_a_pause_of_the_process():
-    course = courses.triangle(SafetyLimits(4.0, 2.0), 1.6, 2)
-    next(course)
-    before = course.send(Instant(0.5, 0.0))
-    assert course.send(Instant(3.0, 0.0)) - before == pytest.approx(1.6 * courses.LATE)
-
-
 def test_a_motion_is_played_by_the_numbers_of_the_readings():
     wanted = np.array([0.0, 1.0, 2.0, 3.0])
     course = courses.motion(wanted, PERIOD)

@@ -14,10 +14,11 @@ from valve_control.cli import command, commission
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.design.commissioning import commissioning_report, folder, sequence
-from valve_control.design.commissioning.bench import Fault
+from valve_control.design.commissioning.bench import Fault, SafetyLimits
 from valve_control.design.commissioning.folder import Folder
 from valve_control.parameter import ParameterError, defaults, updated
 
+LIMITS = SafetyLimits(4.0, 2.0)
 RESULTS = ("tuned.yaml", "report.html", "commission.json", "valve.yaml", "refused_1.yaml", "refused_2.yaml")
 QUICK = ["--controller", "pid", "--max-chatter", "0.3", "--budget", "40", "--valves", "3", "--unseen", "8"]
 
@@ -47,7 +48,7 @@ def test_an_earlier_run_is_set_aside_and_can_be_undone(tmp_path, capfd):
     for name in RESULTS:
         (tmp_path / name).write_text(f"old {name}", encoding="utf-8")
     valve = Controller(controller={"arc.k1": 77.0})
-    first, kept = valve.values(), Folder(tmp_path, valve.name)
+    first, kept = valve.values(), Folder(tmp_path, valve.name, LIMITS)
     assert kept.begin(first) == tmp_path / "earlier" / "1"
     kept.mark(folder.DONE)
     valve.apply({"arc.k1": 55.0})
@@ -66,7 +67,7 @@ def test_an_earlier_run_is_set_aside_and_can_be_undone(tmp_path, capfd):
 @pytest.mark.parametrize("kept", [folder.RUNNING, folder.DONE])
 def test_what_another_valve_needs_to_be_undone_stays(tmp_path, kept):
     values = updated(CONTROLLER, defaults(CONTROLLER), {"arc.k1": 77.0})
-    other = Folder(tmp_path, "/boom/controller")
+    other = Folder(tmp_path, "/boom/controller", LIMITS)
     other.begin(values)
     other.mark(kept)
     with pytest.raises(ParameterError, match=r"of /boom/controller; --folder gives /arm/controller one"):
@@ -119,7 +120,7 @@ def test_an_end_while_the_results_are_written_is_no_success(tmp_path, monkeypatc
 def test_a_backup_has_every_parameter_to_the_last_bit(tmp_path_factory, u_max, gamma, name):
     changes = {"u_max": u_max, "arc.gamma": gamma, "load_file": name, "controller": "dcarc"}
     values = updated(CONTROLLER, defaults(CONTROLLER), changes)
-    kept = Folder(tmp_path_factory.mktemp("backup"), "/boom/controller")
+    kept = Folder(tmp_path_factory.mktemp("backup"), "/boom/controller", LIMITS)
     assert kept.backup() is None
     kept.begin(values)
     assert kept.backup() == ("/boom/controller", values, folder.RUNNING)

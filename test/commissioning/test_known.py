@@ -67,19 +67,6 @@ def test_a_zero_that_cannot_be_inverted_leaves_a_model_of_lower_order():
     assert np.max(np.abs(loop_poles(values, right, 0.0))) < 1.0
 
 
-@pytest.mark.parametrize(
-    ("model", "delay"),
-    [(SLOW, 0.0045), (TransferFunction((1500.0,), (1.0, 59.0, 1657.0)), 0.006)],
-)
-def test_more_dead_time_than_dcarc_takes_goes_into_the_poles(model, delay):
-    """Its gains were left out where a second order came with more than four periods."""
-    found = known(model, "dcarc", delay)
-    values = controller_values(found, "dcarc")
-    assert len(values["dcarc.denominator"]) == 3 and values["dcarc.delay"] <= 4.0 * PERIOD
-    assert "dcarc gets a model of order 2 with 4 ms of dead time" in found.notes[0]
-    assert np.max(np.abs(loop_poles(values, model, delay / PERIOD))) < 1.0
-
-
 def test_a_third_order_without_zeros_goes_to_dcarc_as_it_is():
     """Before: a model of order 2 with 4 ms of dead time."""
     values = controller_values(known(SLOW, "dcarc", 0.0023), "dcarc")

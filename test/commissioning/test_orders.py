@@ -95,17 +95,3 @@ def test_a_search_begins_at_the_fitted_response(first, second):
     # As responses: where two poles are nearly equal they are not well determined.
     assert responses(*made.model, made.delay) == pytest.approx(responses(*model, 0.001), rel=1e-5)
     assert made.friction == Friction(0.3, 1.2)
-
-
-@pytest.mark.parametrize("pole", [6000.0, 9000.0, 12500.0])
-@pytest.mark.parametrize("slower", [[1.0, 20.0], np.polymul([1.0, 20.0], [1.0, 120.0, 4e4])])
-def test_a_pole_beyond_the_bound_leaves_the_slow_ones_where_they_are(pole, slower):
-    denominator = np.polymul(slower, [1.0, pole])
-    fit_model = TransferFunction((0.9 * denominator[-1],), tuple(map(float, denominator)))
-    order, nothing = len(denominator) - 1, (float("nan"),)
-    fit = rational.Fit(order, fit_model, 0.001, (), nothing, nothing, 0.0, 0.0, 0.0, None)
-    form = plant._Form(order, 1, 1.2, 0.001)
-    made = form.plant(form.inside(plant._parameters(fit, Friction(0.3, 1.2), -0.1, 0.001)))
-    assert made.model.static_gain == pytest.approx(0.9)
-    found = sorted(np.roots(made.model.denominator), key=abs)[:-1]
-    assert found == pytest.approx(sorted(np.roots(slower), key=abs), rel=1e-6)

@@ -158,15 +158,6 @@ def test_a_recording_at_rest_is_one_sentence():
         recorded.learnt(experiment(operated(np.zeros(3000))), defaults(VALVE), [])
 
 
-def test_motion_begins_at_rest_and_keeps_the_part_that_moves():
-    command = np.concatenate([np.full(9000, 1.0), 1.0 + np.sin(np.arange(4000) * 0.02), np.full(9000, 1.0)])
-    made = recorded.motion(command, 0.001, 1.5)
-    assert made[0] == 0.0 and np.max(made) == 1.5 and len(made) == 8500
-    assert np.sum(np.abs(np.diff(made[500:]))) == pytest.approx(
-        np.sum(np.abs(np.diff(np.clip(command, -1.5, 1.5))))
-    )
-
-
 @pytest.mark.campaign
 def test_tune_from_a_bag(run, tmp_path, moved):
     write(tmp_path / "operation", moved.messages)

@@ -12,9 +12,8 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve as plant
 from valve_control.design.commissioning import sequence
-from valve_control.design.commissioning.bench import Diagnosis, Fault, Pause, SafetyLimits, Swings
+from valve_control.design.commissioning.bench import Diagnosis, Fault, Pause, SafetyLimits, Swings, Watch
 from valve_control.design.commissioning.plan import Plan, check
-from valve_control.design.commissioning.watch import Watch
 from valve_control.parameter import ParameterError, defaults, updated
 
 LIMITS = SafetyLimits(3.0, 1.5)

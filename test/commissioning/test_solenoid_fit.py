@@ -44,40 +44,6 @@ def known(found=TRUE, law="dcarc", sensor_delay=0.0):
     return made, model.Known(made, REST, PERIOD, 10.0, law, sensor_delay)
 
 
-@given(
-    st.floats(20.0, 500.0),
-    st.floats(0.2, 2.0),
-    st.floats(5e-4, 0.01),
-    st.floats(-0.3, 0.3),
-    st.floats(0.0, 1.0),
-    st.floats(0.0, 0.003),
-)
-def test_unknowns_are_the_valve(speed, damping, coil_lag, sides, width, delay):
-    valve = TRUE._replace(
-        speed=speed, damping=damping, coil=coil_lag, sides=sides, hysteresis=width, delay=delay
-    )
-    assert magnet.of_unknowns(magnet.unknowns(valve, PERIOD), PERIOD) == pytest.approx(valve, abs=1e-12)
-    assert valve.positive / valve.negative == pytest.approx(math.exp(sides))
-    assert valve.positive + valve.negative == pytest.approx(2.0)
-
-
-@given(st.floats(20.0, 500.0), st.floats(0.2, 2.0), st.floats(5e-4, 0.01))
-def test_a_search_begins_at_the_poles_of_a_third_order(speed, damping, coil_lag):
-    """The pair is the spool. Of three real poles the slower two are."""
-    denominator = np.polymul([1.0, 2.0 * damping * speed, speed**2], [1.0, 1.0 / coil_lag])
-    valve = TransferFunction((0.9 * denominator[-1],), tuple(map(float, denominator)))
-    guess = magnet.first_guess(valve, Friction(0.5, 1.1), 0.1, 0.001)
-    assert guess.gain == pytest.approx(0.9)
-    if damping < 0.99 or 1.0 / coil_lag > 1.01 * speed * (damping + math.sqrt(max(0.0, damping**2 - 1.0))):
-        assert guess.speed == pytest.approx(speed, rel=1e-3)
-        assert guess.coil == pytest.approx(coil_lag, rel=1e-3)
-        assert guess.damping == pytest.approx(damping, rel=1e-3)
-    assert (
-        magnet.first_guess(TransferFunction((900.0,), (1.0, 40.0, 1000.0)), Friction(0.5, 1.1), 0.0, 0.0).coil
-        > 0.0
-    )
-
-
 def test_voltages_and_readings_without_noise_are_the_valve():
     """From a start that is 10 to 50 % off, every number comes out."""
     times = np.arange(7000) * PERIOD
@@ -185,21 +151,6 @@ def test_a_search_that_begins_far_from_the_valve_goes_on_until_it_is_there():
     assert found.magnet is not None and found.error < 1.0
     assert found.magnet.speed == pytest.approx(2.0 * math.pi * 46.24, rel=0.05)
     assert found.magnet.coil == pytest.approx(0.00516, rel=0.1)
-
-
-@pytest.mark.parametrize("coil_lag", [magnet.FASTEST_COIL, 0.001, 0.004])
-def test_a_coil_at_its_bound_is_none(coil_lag):
-    """The linear valve then has the phase of the other one far below the coil's frequency."""
-    found = TRUE._replace(coil=coil_lag)
-    simpler = magnet.without_solenoids(found)
-    if coil_lag > magnet.FASTEST_COIL:
-        assert simpler is None
-        return
-    linear, delay = simpler
-    s = 2j * math.pi * np.array([0.1, 3.0, 30.0])
-    there, other = (np.polyval(m.numerator, s) / np.polyval(m.denominator, s) for m in (linear, found.model))
-    ratio = np.exp(-s * (delay - found.delay)) * there / other
-    assert np.abs(np.angle(ratio)) == pytest.approx(0.0, abs=(30.0 * math.tau * coil_lag) ** 3)
 
 
 def test_what_a_law_was_told_of_an_earlier_friction_is_forgotten():

@@ -175,10 +175,10 @@ def test_a_failed_commissioning_goes_on_after_its_whole_tests(tmp_path):
     with pytest.raises(Fault):
         sequence.run(valve, PLAN, valve.values(), steps)
     assert set(steps.records) == {sequence.REST, sequence.SLOW, sequence.SINE}
-    kept = Folder(tmp_path, "/controller")
+    kept = Folder(tmp_path, "/controller", LIMITS)
     for name, record in steps.records.items():
-        kept.keep_test(name, record, LIMITS)
-    records = kept.tests(LIMITS, 0.001)
+        kept.tested(name, record)
+    records = kept.tests(0.001)
     for name, record in steps.records.items():
         assert records[name].begins == record.begins
         assert np.array_equal(records[name].reading, record.reading, equal_nan=True)
@@ -196,9 +196,9 @@ def test_a_failed_commissioning_goes_on_after_its_whole_tests(tmp_path):
         ("/controller", LIMITS, 0.002),
     ):
         with pytest.raises(ParameterError, match=r"--resume needs the same node, --max-voltage"):
-            Folder(tmp_path, node).tests(limits, period)
+            Folder(tmp_path, node, limits).tests(period)
     (tmp_path / folder.TESTS).write_bytes(b"PK nothing")
     with pytest.raises(ParameterError, match="is damaged"):
-        kept.tests(LIMITS, 0.001)
+        kept.tests(0.001)
     with pytest.raises(ParameterError, match="no whole test"):
-        Folder(tmp_path / "nowhere", "/controller").tests(LIMITS, 0.001)
+        Folder(tmp_path / "nowhere", "/controller", LIMITS).tests(0.001)

@@ -11,13 +11,11 @@ from supervised import SupervisedValve, driven
 
 from benchmarks import solenoid
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant import valve
 from valve_control.control.plant.models import TransferFunction
-from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.simulation import offline
 from valve_control.design.commissioning import plant, small_signal, statics
 from valve_control.design.commissioning.bench import Record, SafetyLimits
-from valve_control.design.commissioning.magnet import Magnet, solenoid_params
+from valve_control.design.commissioning.magnet import Magnet
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError, defaults, updated
 
@@ -153,23 +151,6 @@ def test_a_spool_that_friction_holds_off_centre_is_no_error_of_the_model(magnet,
     assert plant.simulated(true, slow)[0] == pytest.approx(begin, abs=1e-6)
     weight = plant._weight(slow, REST)
     assert np.sqrt(np.mean((weight * (plant.simulated(true, slow) - reading)) ** 2)) < plant.SUSPECT
-
-
-def test_a_spool_stands_still_where_it_begins():
-    """Half of what friction can hold, under no voltage: within the bristles' deflection."""
-    for params, travel in (
-        (solenoid_params(COILED._replace(offset=0.0, sides=0.0), 0.001), 0.9 * 0.4),
-        (
-            valve.design(
-                LINEAR.model, 0.001, 10.0, 1.0,
-                valve.FREE._replace(coulomb=0.8, presliding=0.02), IDEAL._replace(delay=1.5),
-            ),
-            LINEAR.model.static_gain * 0.4,
-        ),
-    ):  # fmt: skip
-        for begin in (travel, -travel):
-            stood = plant.positions(params, np.zeros(500), begin)
-            assert stood == pytest.approx(np.full(500, begin), abs=1e-6)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 5])

@@ -11,6 +11,7 @@ import scipy.optimize
 from research import comparison
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
+from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER
@@ -110,15 +111,23 @@ def test_what_rings_down_slowly_is_no_limit_cycle():
         assert found.tolist() == lasting
 
 
-def test_stressed_valves_have_half_of_the_margins_used_up_and_less_friction():
-    rubbing = FREE._replace(coulomb=1.5)
-    plants = [plant(disturbance=rubbing) for _ in range(30)]
-    made = limit_cycles.stressed(plants, trial.USUAL)
-    gains = np.array([p.gain_scale for p in made])
-    delays = np.array([p.lvdt.delay for p in made])
-    half = 10.0 ** (trial.USUAL.gain_db / 40.0)
-    assert set(gains.round(12)) == {round(half, 12), round(1.0 / half, 12), 1.0}
-    assert np.all(delays[gains == 1.0] == pytest.approx(0.5 * trial.USUAL.delay_s / PERIOD))
-    assert np.all(delays[gains != 1.0] == 0.0)
-    friction = np.sort([p.disturbance.coulomb for p in made])
-    assert friction[0] > 0.0 and friction[-1] == 1.5 and np.max(np.diff(friction)) < 0.15
+def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():
+    """It counts where the loop makes it much larger, or where the problem is strict and a node reports it."""
+    loud = files.load("config/tuned/wide_0.25_pid_reference.yaml")["controller"]
+    friction = FREE._replace(coulomb=1.4, presliding=0.035, flow_force=0.3)
+    valve_of_it = comparison.made_of(1.35, 0.8, 1.22, 0.0005, friction)
+    valve_of_it = valve_of_it._replace(lvdt=valve_of_it.lvdt._replace(noise=0.0, resolution=0.0))
+    plants = [valve_of_it, valve_of_it._replace(gain_scale=4.0)]
+    problem = problem_of("pid", plants, [trial.TuningMotion("rest", np.zeros(1000))], **loud)
+    law, gains = LAWS["pid"], GainSet({}, 0.0)
+    loops = trial.Loops(law, problem, [gains], plants, 1)
+    command = limit_cycles.steps(PERIOD).wanted
+    traces = np.empty((2, len(command), 3))
+    loops.run(command, loops.commands(command), 1, traces=traces)
+    assert np.all(limit_cycles.restless(traces[:, -1000:], PERIOD, 1.0)[0])
+    assert limit_cycles.after_all(law, problem, gains, plants).tolist() == [1]
+    swing = 0.5 * float(np.ptp(traces[0, -500:, 2]))
+    for limit, counted in ((0.8 * swing, [0, 1]), (1.25 * swing, [1])):
+        strict = problem._replace(values={**problem.values, "oscillation_limit": limit}, strict=True)
+        assert limit_cycles.after_all(law, strict, gains, plants).tolist() == counted
+        assert limit_cycles.after_all(law, strict._replace(strict=False), gains, plants).tolist() == [1]

@@ -7,8 +7,6 @@ import math
 import changed
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.laws.registry import LAWS
@@ -99,19 +97,6 @@ def test_the_large_answer_exists_from_where_the_describing_function_says(natural
     for factor, lasts in ((0.75, False), (1.25, True)):
         amplitude = factor * least * MOST / w**2
         assert large_answer_lasts(natural_frequency, damping, amplitude, frequency) == lasts, factor
-
-
-@settings(max_examples=30)
-@given(
-    st.floats(0.05, 1.0), st.floats(2.0, 25.0), st.floats(100.0, 900.0), st.floats(0.0, 0.01),
-    st.sampled_from([0.0, 1.0]),
-)  # fmt: skip
-def test_with_room_below_the_limit_every_pause_is_borne(share, frequency, natural_frequency, lead, accel):
-    """Where the limits are never met the reshaping is linear, and forgets a pause."""
-    amplitude = share / (2.0 * np.pi * frequency) ** 2 * 100.0
-    settings = {"reshaping__natural_frequency": natural_frequency, "reshaping__lead": lead}
-    settings |= {"reshaping__lead_accel": accel, "reshaping__max_accel": 1e7, "reshaping__max_rate": 1e5}
-    assert math.isinf(shortest(sine(amplitude, frequency, 1.5), **settings))
 
 
 def test_what_is_not_reshaped_and_what_is_known_ahead_is_not_looked_at():

@@ -15,14 +15,14 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.parameter import ParameterError, number, word
 
 if TYPE_CHECKING:
-    from valve_control.design.commissioning.bench import Record
-    from valve_control.design.commissioning.folder import Backup, Folder
-    from valve_control.design.commissioning.plan import Plan
+    from valve_control.design.commissioning.bench import SafetyLimits
+    from valve_control.design.commissioning.folder import Folder
     from valve_control.design.commissioning.sequence import Result, Reversal
     from valve_control.nodes.commissioning_client import Controller
     from valve_control.parameter import Values
 
 CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
+OF_PLAN = ("budget", "valves", "unseen", "seed", "threads", "sensor_delay", "alone")  # options
 FAILED = 1  # exit status if the parameters are those from before
 NUMBERS: dict[str, tuple[tuple[str, float | None, str, str], ...]] = {  # name, usual, unit, help
     "limits": (
@@ -30,15 +30,8 @@ NUMBERS: dict[str, tuple[tuple[str, float | None, str, str], ...]] = {  # name, 
         ("travel", 2.0, "V", "largest reading in both directions (2 V)"),
     ),
     "tuning": (
-        (
-            "max-chatter", None, "C_U",
-            f"limit of the chatter; a limit that you give is kept (default: {CHATTER:g}, or more if no gains "
-            "keep it)",
-        ),
-        (
-            "sensor-delay", 0.0, "S",
-            "dead time of the sensor (0 s); the rest of the dead time belongs to the actuator",
-        ),
+        ("max-chatter", None, "C_U", f"limit of c_u, kept if given ({CHATTER:g}, or more if none keep it)"),
+        ("sensor-delay", 0.0, "S", "the sensor's part of the dead time (0 s), not the actuator's"),
         ("budget", 200, "N", "number of sets of gains (200)"),
         ("valves", 6, "N", "number of valves in the search (6)"),
         ("unseen", 32, "N", "number of valves in the verification (32)"),
@@ -69,11 +62,8 @@ def add_commands(commands: Any) -> None:
         for name, usual, metavar, text in numbers:
             kind = int if isinstance(usual, int) else float
             groups[title].add_argument(f"--{name}", type=kind, default=usual, metavar=metavar, help=text)
-    groups["tuning"].add_argument(
-        "--alone",
-        action="store_true",
-        help="tune this law only, and no PID that could have a smaller error",
-    )
+    text = "tune this law only, and no PID that could have a smaller error"
+    groups["tuning"].add_argument("--alone", action="store_true", help=text)
     group = commission.add_argument_group("course of the commissioning")
     group.add_argument("--yes", action="store_true", help="do not ask before each step")
     group.add_argument(
@@ -137,10 +127,16 @@ def _folder(arguments: argparse.Namespace) -> "Folder":
     from valve_control.design.commissioning.folder import Folder
 
     node = "/" + arguments.node.strip("/")
-    return Folder(Path(arguments.folder), node, lambda path: wrote(arguments, path))
+    return Folder(Path(arguments.folder), node, _limits(arguments), lambda path: wrote(arguments, path))
 
 
-def _backup(folder: "Folder") -> "Backup":
+def _limits(arguments: argparse.Namespace) -> "SafetyLimits":
+    from valve_control.design.commissioning.bench import SafetyLimits
+
+    return SafetyLimits(arguments.max_voltage, arguments.travel)
+
+
+def _backup(folder: "Folder") -> "Values":
     """Parameters from before that ``folder`` has. Raises ParameterError if it has none of its node."""
     backup = folder.backup()
     if backup is None:
@@ -150,7 +146,7 @@ def _backup(folder: "Folder") -> "Backup":
             f"{folder.path} has the parameters of {backup.node}, not of {folder.node}; give --node or "
             "--folder"
         )
-    return backup
+    return backup.values
 
 
 def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
@@ -158,7 +154,7 @@ def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
     from valve_control.design.commissioning.folder import UNDONE
 
     folder = _folder(arguments)
-    count = sequence.restore(controller, _backup(folder).values)
+    count = sequence.restore(controller, _backup(folder))
     folder.mark(UNDONE)
     say(arguments, f"{count} parameters of {folder.node} set back; all are as before the commissioning")
     if arguments.activate:
@@ -168,47 +164,34 @@ def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
     return 0
 
 
-def _plan(arguments: argparse.Namespace, law: str) -> "Plan":
-    from valve_control.design.commissioning.bench import SafetyLimits
-    from valve_control.design.commissioning.plan import Plan
-
-    return Plan(
-        limits=SafetyLimits(arguments.max_voltage, arguments.travel),
-        law=arguments.controller or law,
-        chatter=CHATTER if arguments.max_chatter is None else arguments.max_chatter,
-        budget=arguments.budget,
-        valves=arguments.valves,
-        unseen=arguments.unseen,
-        seed=arguments.seed,
-        threads=arguments.threads,
-        firm=arguments.max_chatter is not None,
-        sensor_delay=arguments.sensor_delay,
-        alone=arguments.alone,
-        gives_way=True,
-    )
-
-
 def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     from valve_control.design.commissioning import sequence
-    from valve_control.design.commissioning.plan import check
+    from valve_control.design.commissioning.plan import Plan, check
 
     before = controller.values()
     folder = _folder(arguments)
     folder.check(before)
-    plan = _plan(arguments, word(before, "controller"))
+    plan = Plan(
+        limits=_limits(arguments),
+        law=arguments.controller or word(before, "controller"),
+        chatter=CHATTER if arguments.max_chatter is None else arguments.max_chatter,
+        firm=arguments.max_chatter is not None,
+        gives_way=True,
+        **{name: getattr(arguments, name) for name in OF_PLAN},
+    )
     check(plan, before)
     records = {}
     if arguments.resume is not None:
-        records = folder.tests(plan.limits, number(before, "sample_period"))
+        records = folder.tests(number(before, "sample_period"))
         say(arguments, f"{folder.path} has whole tests: {', '.join(sorted(records))}")
     controller.meet_valve()
     aside = folder.begin(before)
     if aside is not None:
         say(arguments, f"moved the files of an earlier commissioning to {aside}")
-    steps, reversal = _Steps(arguments, folder, plan), sequence.Reversal()
+    reversal = sequence.Reversal()
     try:
         with sequence.reversible(controller, before, reversal):
-            result = sequence.run(controller, plan, before, steps, records=records)
+            result = sequence.run(controller, plan, before, _Steps(arguments, folder), records=records)
             folder.finish(result, "valve-control " + " ".join(arguments.line))
     except BaseException as error:
         _report_end(folder, reversal, error)
@@ -236,11 +219,11 @@ def _report_end(folder: "Folder", reversal: "Reversal", error: BaseException) ->
 
 
 class _Steps:
-    """Asks before each step, shows its progress, and writes results on the way."""
+    """Asks before each step, shows its progress, and lets ``folder`` keep results on the way."""
 
-    def __init__(self, arguments: argparse.Namespace, folder: "Folder", plan: "Plan") -> None:
-        self._arguments, self._folder, self._limits = arguments, folder, plan.limits
-        self._step, self._progress = "", Progress(0, "")
+    def __init__(self, arguments: argparse.Namespace, folder: "Folder") -> None:
+        self.tested, self.fitted, self.refused = folder.tested, folder.fitted, folder.refused
+        self._arguments, self._step, self._progress = arguments, "", Progress(0, "")
 
     def confirm(self, text: str) -> bool:
         """Whether to go on; the question says what comes next."""
@@ -256,18 +239,6 @@ class _Steps:
             self._step, self._progress = name, Progress(round(total), f"({name})")
             print(f"{name} …", file=sys.stderr, flush=True)
         self._progress(round(min(done, total)))
-
-    def tested(self, name: str, record: "Record") -> None:
-        """Keep a whole test, after which another commissioning can go on."""
-        self._folder.keep_test(name, record, self._limits)
-
-    def fitted(self, valve: "Values") -> None:
-        """Keep the fitted valve."""
-        self._folder.keep_valve(valve)
-
-    def refused(self, changes: "Values", reason: str) -> None:
-        """Keep gains that are not accepted."""
-        self._folder.keep_refused(changes, reason)
 
 
 def _report(arguments: argparse.Namespace, result: "Result", folder: "Folder") -> None:

@@ -83,31 +83,27 @@ def _study(arguments: argparse.Namespace) -> int:
     folder = (
         Path("out", robustness.folder_name(chosen)) if arguments.folder is None else Path(arguments.folder)
     )
-    progress = Progress(chosen.valves, "valves")
-    done = -1
+    progress, done = Progress(chosen.valves, "valves"), list[int]()  # valves
 
-    def told(valves: int) -> None:
-        nonlocal done
-        if done < 0 < valves:
+    def count(valves: int) -> None:
+        if not done and valves > 0:
             print(f"{valves} of {chosen.valves} valves are in {folder} already", file=sys.stderr)
-        done = valves
+        done.append(valves)
         progress(valves)
 
     limit = robustness.fitting_limit(chosen) if arguments.limit is None else arguments.limit
     try:
-        found = robustness.run(chosen, folder, told, arguments.threads)
+        found = robustness.run(chosen, folder, count, arguments.threads)
     except KeyboardInterrupt:
-        print(
-            f"stopped; {max(0, done)} of {chosen.valves} valves are in {folder}; the same command goes on",
-            file=sys.stderr,
-        )
+        text = f"stopped; {max(done, default=0)} of {chosen.valves} valves are in {folder}"
+        print(f"{text}; the same command goes on", file=sys.stderr)
         return 130
     result: dict[str, Any] = {
         "folder": str(folder),
         "controller": chosen.settings["controller"]["controller"],
         **robustness.summary(found, limit),
+        "limits": verification.of_study(chosen, found, arguments.threads),
     }
-    result["limits"] = verification.of_study(chosen, found, arguments.threads)
     if arguments.json != "-":
         _print(result)
         print(f"all results are in {folder}")

@@ -9,7 +9,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
 from valve_control.cli.common import (
@@ -29,38 +29,25 @@ from valve_control.cli.study import box_of
 from valve_control.parameter import ParameterError, Values, defaults, word
 
 if TYPE_CHECKING:
-    from valve_control.control.laws.law import Law
-    from valve_control.design.recorded_tuning import RecordedRun
-    from valve_control.design.tuning.request import Outcome, Request
+    from valve_control.design.commissioning.recorded import RecordedRun
+    from valve_control.design.tuning.request import Task
     from valve_control.design.tuning.trial import TuningLimits, TuningMotion
     from valve_control.design.tuning.tuner import Tuned
 
 DELIVERY = ("command_period", "command_jitter", "command_drift")
+OF_BAG = ("command", "scenario", "valve", "sample_period", "duration", *DELIVERY)  # that a bag has itself
 FAILED = 1  # exit status if gains of a law are not accepted
-
-
-class LimitOption(NamedTuple):
-    """An option for a limit on every valve of the box."""
-
-    field: str  # of TuningLimits
-    name: str
-    usual: float
-    least: float
-    most: float
-    metavar: str
-    help: str
-
-
-LIMITS = (
-    LimitOption("gain_db", "gain-margin", 3.0, 0.0, 60.0, "DB", "least gain margin, up and down (3 dB)"),
-    LimitOption("phase_deg", "phase-margin", 20.0, 0.0, 120.0, "DEG", "least phase margin (20 degrees)"),
-    LimitOption("delay_s", "delay-margin", 0.0005, 0.0, 1.0, "S", "least delay margin (0.0005 s)"),
-    LimitOption("pause_s", "pause", 0.01, 0.0, 0.05, "S", "pause of the command that is borne (0.01 s)"),
-    LimitOption("sensitivity_db", "peak", 12.0, 0.1, 1e3, "DB", "largest peak of the sensitivity (12 dB)"),
-    LimitOption("swing", "swing", 0.04, 0.001, 1e3, "V", "largest swing that friction sustains (0.04 V)"),
-    LimitOption("saturated", "saturation", 0.02, 0.0, 1.0, "X", "largest share of saturated samples (0.02)"),
-    LimitOption("overshoot", "overshoot", 5.0, 0.0, 1e3, "%", "largest overshoot of steps, a wish (5)"),
-)
+# Limits on every valve of the box. Option: field of TuningLimits, default, least, most, metavar, help
+LIMITS = {
+    "gain-margin": ("gain_db", 3.0, 0.0, 60.0, "DB", "least gain margin, up and down"),
+    "phase-margin": ("phase_deg", 20.0, 0.0, 120.0, "DEG", "least phase margin"),
+    "delay-margin": ("delay_s", 0.0005, 0.0, 1.0, "S", "least delay margin"),
+    "pause": ("pause_s", 0.01, 0.0, 0.05, "S", "pause of the command that is borne"),
+    "peak": ("sensitivity_db", 12.0, 0.1, 1e3, "DB", "largest peak of the sensitivity"),
+    "swing": ("swing", 0.04, 0.001, 1e3, "V", "largest swing that friction sustains"),
+    "saturation": ("saturated", 0.02, 0.0, 1.0, "X", "largest share of saturated samples"),
+    "overshoot": ("overshoot", 5.0, 0.0, 1e3, "%", "largest overshoot of steps, a wish"),
+}
 LEAST = ("gain_db", "phase_deg", "delay_s", "pause_s")  # which are 0 where they are off; the others infinite
 
 
@@ -97,11 +84,21 @@ def add_commands(commands: Any) -> None:
         "--preview", action="store_true", help="commands are known ahead (topic spool_trajectory)"
     )
     group = tune.add_argument_group("limits on every valve of the box", "none switches a limit off.")
-    for option in LIMITS:
+    for name, (_, usual, _, _, metavar, text) in LIMITS.items():
         group.add_argument(
-            f"--{option.name}", type=_limit, default=option.usual, metavar=option.metavar, help=option.help
+            f"--{name}", type=_limit, default=usual, metavar=metavar, help=f"{text} (%(default)g)"
         )
-    _search_options(tune.add_argument_group("search"))
+    group = tune.add_argument_group("search")
+    for name, count, text in (
+        ("valves", 8, "number of valves in the search"),
+        ("unseen", 64, "number of valves in the verification"),
+        ("budget", 4000, "number of sets of gains of each law, for the PID of each form"),
+    ):
+        group.add_argument(f"--{name}", type=int, default=count, metavar="N", help=f"{text} ({count})")
+    fix_option(group)
+    group.add_argument(
+        "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="number of threads (all cores)"
+    )
     output = tune.add_argument_group("output")
     output.add_argument(
         "--output", metavar="FILE", help="ROS 2 parameter file; with several laws NAME_LAW.yaml for each"
@@ -115,44 +112,38 @@ def _limit(text: str) -> float | None:
     return None if text == "none" else float(text)
 
 
-def _search_options(group: Any) -> None:
-    for name, usual, text in (
-        ("valves", 8, "number of valves in the search"),
-        ("unseen", 64, "number of valves in the verification"),
-        ("budget", 4000, "number of sets of gains of each law, for the PID of each form"),
-    ):
-        group.add_argument(f"--{name}", type=int, default=usual, metavar="N", help=f"{text} ({usual})")
-    fix_option(group)
-    group.add_argument(
-        "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="number of threads (all cores)"
-    )
-
-
 def _tune(arguments: argparse.Namespace) -> int:
-    from valve_control.design.tuning import request
+    from valve_control.design.commissioning import recorded
+    from valve_control.design.tuning import request, tuner
 
     _check(arguments)
-    asked, recorded = _request(arguments)
-    paths = _paths(arguments.output, asked.laws)
+    task, run = _task(arguments)
+    paths = _paths(arguments.output, [law.name for law in task.laws])
     check_outputs(arguments, list(paths.values()))
-    task = request.task_of(asked)
     tell_notes(task.notes)
-    progress = Progress(sum(task.budgets), "sets of gains")
+    progress = Progress(sum(request.budgets(task, arguments.budget)), "sets of gains")
     progress(0)
-    outcome = request.search(task, arguments.threads, lambda done, law: progress(done, f" ({law})"))
-    files = {name: paths[name] for name, one in outcome.tuned.items() if paths and one.chosen.holds}
-    result = request.as_dict(outcome, files)
-    if recorded is not None:
-        from valve_control.design import recorded_tuning
-
-        result["recording"] = recorded_tuning.as_dict(recorded)
-    valve = recorded.fitted.values if recorded is not None else {}
+    tuned, missing = request.search(
+        task, arguments.max_chatter, arguments.budget, arguments.threads,
+        lambda done, law: progress(done, f" ({law})"),
+    )  # fmt: skip
+    files = {name: paths[name] for name, one in tuned.items() if paths and one.chosen.holds}
+    laws = {name: {**tuner.as_dict(one), "file": files.get(name)} for name, one in tuned.items()}
+    result = {"laws": laws, **({"missing": missing} if missing else {})}
+    if run is not None:
+        result["recording"] = recorded.as_dict(run.fitted)
     for name, path in files.items():
-        _save(arguments, path, task.seen.values, outcome.tuned[name], valve)
-    _tell(arguments, outcome)
+        _save(arguments, path, task.seen.values, tuned[name], run.fitted.values if run is not None else {})
+    for text in missing.values():
+        print(text, file=sys.stderr)
+    for name, one in tuned.items():
+        reasons = [f"not accepted, because {reason}" for reason in one.chosen.verified.reasons]
+        for text in (*reasons, *one.notes):
+            print(f"{name}: {text}", file=sys.stderr)
+    if tuned and arguments.json != "-":
+        _print(tuned)
     write_json(arguments, result)
-    accepted = [name for name, one in outcome.tuned.items() if one.chosen.holds]
-    return 0 if len(accepted) == len(asked.laws) else FAILED
+    return 0 if all(name in tuned and tuned[name].chosen.holds for name in laws | missing) else FAILED
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -170,12 +161,10 @@ def _check(arguments: argparse.Namespace) -> None:
         )
     if arguments.max_chatter is not None and not 0.0 < arguments.max_chatter < math.inf:
         raise ParameterError(f"--max-chatter is {arguments.max_chatter:g}; it must be above 0, and finite")
-    for option in LIMITS:
-        value = getattr(arguments, option.name.replace("-", "_"))
-        if value is not None and not option.least <= value <= option.most:
-            raise ParameterError(
-                f"--{option.name} is {value:g}; it must lie between {option.least:g} and {option.most:g}"
-            )
+    for name, (_, _, least, most, *_) in LIMITS.items():
+        value = getattr(arguments, name.replace("-", "_"))
+        if value is not None and not least <= value <= most:
+            raise ParameterError(f"--{name} is {value:g}; it must lie between {least:g} and {most:g}")
 
 
 def _seed(arguments: argparse.Namespace) -> int:
@@ -187,43 +176,41 @@ def limits_of(arguments: argparse.Namespace) -> "TuningLimits":
     from valve_control.design.tuning.trial import TuningLimits
 
     limits: dict[str, float] = {}
-    for option in LIMITS:
-        value = getattr(arguments, option.name.replace("-", "_"))
-        off = 0.0 if option.field in LEAST else math.inf
-        limits[option.field] = off if value is None else (0.01 if option.metavar == "%" else 1.0) * value
+    for name, (field, *_) in LIMITS.items():
+        value = getattr(arguments, name.replace("-", "_"))
+        off = 0.0 if field in LEAST else math.inf
+        limits[field] = off if value is None else (0.01 if field == "overshoot" else 1.0) * value
     return TuningLimits(**limits)
 
 
-def _request(arguments: argparse.Namespace) -> "tuple[Request, RecordedRun | None]":
+def _task(arguments: argparse.Namespace) -> "tuple[Task, RecordedRun | None]":
     """What the options ask for, and the recording to tune on. Raises ParameterError and BagError."""
     from valve_control.control.parameters import files
     from valve_control.design.tuning import request
 
     settings = settings_of(argparse.Namespace(**{**vars(arguments), "controller": None, "command": None}))
     chosen = files.given(arguments.params_file, {}, arguments.set, recorded=True)["controller"]
-    recorded = None
+    run = None
     if arguments.bag is not None:
-        recorded = _recorded(arguments, settings, chosen)
-        settings = dict(recorded.settings)
+        run = _recorded(arguments, settings, chosen)
+        settings = dict(run.settings)
     laws = request.laws_of(arguments.controller or word(settings["controller"], "controller"))
     request.check_free([text.partition("=")[0].strip() for text in arguments.set], laws)
-    asked = request.Request(
+    task = request.task_of(
         laws=laws,
         settings=settings,
         chosen=chosen,
-        motions=_motions(arguments, settings) if recorded is None else [recorded.motion],
-        box=box_of(arguments) if recorded is None else recorded.box,
-        limits=limits_of(arguments),
-        chatter=arguments.max_chatter,
-        preview=arguments.preview,
-        delivery=None if arguments.preview else delivery_of(arguments, settings["controller"]),
-        recorded=recorded is not None,
+        quantities=box_of(arguments) if run is None else run.box,
         valves=arguments.valves,
         unseen=arguments.unseen,
-        budget=arguments.budget,
         seed=_seed(arguments),
+        recorded=run is not None,
+        motions=_motions(arguments, settings) if run is None else [run.motion],
+        limits=limits_of(arguments),
+        preview=arguments.preview,
+        delivery=None if arguments.preview else delivery_of(arguments, settings["controller"]),
     )
-    return asked, recorded
+    return task, run
 
 
 def _motions(arguments: argparse.Namespace, settings: Mapping[str, Values]) -> list["TuningMotion"]:
@@ -244,12 +231,11 @@ def _motions(arguments: argparse.Namespace, settings: Mapping[str, Values]) -> l
 
 def _recorded(arguments: argparse.Namespace, settings: Mapping[str, Values], chosen: Values) -> "RecordedRun":
     """The recording, and what it says of its valve, printed too. Raises ParameterError and BagError."""
-    from valve_control.design import recorded_tuning
+    from valve_control.design.commissioning import recorded
     from valve_control.recordings import recording
     from valve_control.recordings.bags.errors import BagError
 
-    named = ("command", "scenario", "valve", "sample_period", "duration")
-    for name in (*named, *DELIVERY):
+    for name in OF_BAG:
         if getattr(arguments, name) not in (None, []):
             raise ParameterError(f"tune --bag takes no --{name.replace('_', '-')}; the bag has its own")
     if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
@@ -261,29 +247,22 @@ def _recorded(arguments: argparse.Namespace, settings: Mapping[str, Values], cho
         raise BagError(f"{arguments.bag} has no topic of a valve")
     valve = recording.chosen(arguments.bag, loaded.valves, arguments.of)
     name = Path(arguments.bag).name
-    run = recorded_tuning.recorded_run(
-        name, loaded, valve, settings, box_of(arguments), arguments.fix, chosen
-    )
+    run = recorded.run(name, loaded, valve, settings, box_of(arguments), arguments.fix, chosen)
     for one in run.fitted.learnt:
-        unit = "" if one.unit == "-" else f" {one.unit}"
-        text = (
-            f"{one.name}: {one.value:.4g} ± {one.bound:.2g}{unit}"
-            if one.determined
-            else f"{one.name}: not determined by this recording; stays {one.value:.4g}{unit}"
-        )
-        say(arguments, text + (" (times the known valve's)" if one.name in ("gain", "speed") else ""))
+        say(arguments, one.sentence)
     tell_notes(run.notes)
     return run
 
 
-def _paths(output: str | None, laws: "Sequence[Law]") -> dict[str, str]:
-    """Parameter file of each law."""
+def _paths(output: str | None, laws: Sequence[str]) -> dict[str, str]:
+    """Parameter file of each of the ``laws``."""
     if output is None:
         return {}
-    if len(laws) == 1:
-        return {laws[0].name: output}
     path = Path(output)
-    return {law.name: str(path.with_name(f"{path.stem}_{law.name}{path.suffix}")) for law in laws}
+    return {
+        law: output if len(laws) == 1 else str(path.with_name(f"{path.stem}_{law}{path.suffix}"))
+        for law in laws
+    }
 
 
 def _save(arguments: argparse.Namespace, path: str, values: Values, one: "Tuned", valve: Values) -> None:
@@ -305,21 +284,6 @@ def _save(arguments: argparse.Namespace, path: str, values: Values, one: "Tuned"
     sections = {"/**/controller": chosen, **({"/**/valve_simulator": others} if others else {})}
     outputs.write(path, ros_file.as_yaml(sections, about))
     wrote(arguments, path)
-
-
-def _tell(arguments: argparse.Namespace, outcome: "Outcome") -> None:
-    """Print reasons and notes on standard error, and the tables unless JSON goes there."""
-    for text in outcome.missing.values():
-        print(text, file=sys.stderr)
-    for name, one in outcome.tuned.items():
-        for reason in one.chosen.verified.reasons:
-            print(f"{name}: not accepted, because {reason}", file=sys.stderr)
-        for note in one.notes:
-            print(f"{name}: {note}", file=sys.stderr)
-    if arguments.json == "-":
-        return
-    if outcome.tuned:
-        _print(outcome.tuned)
 
 
 def _print(found: "Mapping[str, Tuned]") -> None:

@@ -24,8 +24,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from valve_control.control.analysis import timing
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.design.commissioning import bench
-from valve_control.design.commissioning.bench import Fault, Pause, Point, Record, SafetyLimits
-from valve_control.design.commissioning.watch import Watch
+from valve_control.design.commissioning.bench import Fault, Pause, Point, Record, SafetyLimits, Watch
 from valve_control.nodes.adapter import (
     EVERYTHING,
     SAMPLES,
@@ -104,17 +103,16 @@ class Controller:
 
     def meet_valve(self) -> None:
         """Wait for readings, and see that nobody else commands. Raises Fault."""
-        position, command = self._topics["spool_position"], self._topics["spool_command"]
+        position = self._topics["spool_position"]
         if not self._wait(lambda: bool(self._taken(self._readings)), MEET):
             raise Fault(f"no reading has come on {position} within {MEET:g} s")
 
         def connected() -> bool:
-            commanding = (self._commands, self._points)
-            heard = all(publisher.get_subscription_count() for publisher in commanding)
-            return heard and self._publishers("valve_voltage") > 0
+            heard = self._commands.get_subscription_count() and self._points.get_subscription_count()
+            return bool(heard) and self._publishers("valve_voltage") > 0
 
         if not self._wait(connected, MEET):
-            raise Fault(f"{self.name} does not read {command}")
+            raise Fault(f"{self.name} does not read {self._topics['spool_command']}")
         for part, topic in self._topics.items():  # what was killed stays in the graph for a while
             if not self._wait(lambda part=part: self._publishers(part) <= 1, MEET):  # type: ignore[misc]
                 raise Fault(f"somebody else publishes on {topic}; end that first")
@@ -152,7 +150,10 @@ class Controller:
             raise Fault(f"{self.name} refuses the parameters: {result.reason}")
 
     def on(self) -> None:
-        """Activate the controller. Raises Fault."""
+        """Activate the controller, and wait until it says that it controls. Raises Fault.
+
+        It begins without a reading.
+        """
         state = self._state()
         if state == State.PRIMARY_STATE_UNCONFIGURED:
             self._change(Transition.TRANSITION_CONFIGURE)
@@ -161,28 +162,21 @@ class Controller:
             self._change(Transition.TRANSITION_ACTIVATE)
             if self._state() != State.PRIMARY_STATE_ACTIVE:
                 raise Fault(f"{self.name} cannot be activated")
-        self._wait_for_control()
-        for subscription in (self._readings, self._voltages):
-            for _ in subscription.take():  # of before
-                pass
-        self._heard = dict.fromkeys(self._heard, time.monotonic())
-
-    def _wait_for_control(self) -> None:
-        """Wait until the controller, which begins without a reading, says that it controls. Raises Fault."""
-        for _ in self._diagnostics.take():
-            pass
-        last = "nothing"
+        list(self._diagnostics.take())  # of before
+        texts = ["nothing"]
 
         def controls() -> bool:
-            nonlocal last
             for diagnosis in self._new_diagnoses():
-                last = diagnosis.text
+                texts.append(diagnosis.text)
                 if diagnosis.active and not diagnosis.safe:
                     return True
             return False
 
         if not self._wait(controls, ANSWER):
-            raise Fault(f"the controller says: {last}")
+            raise Fault(f"the controller says: {texts[-1]}")
+        list(self._readings.take())
+        list(self._voltages.take())
+        self._heard = dict.fromkeys(self._heard, time.monotonic())
 
     def _new_diagnoses(self) -> Iterator[bench.Diagnosis]:
         for message, _ in self._diagnostics.take():

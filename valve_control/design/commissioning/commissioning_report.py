@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reports a commissioning as one HTML page: verdict in words, tests, model, gains, verification run."""
 
-import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -10,43 +11,47 @@ from valve_control.arrays import Floats
 from valve_control.control.analysis import page as pages
 from valve_control.control.analysis.figures import Line, Plot
 from valve_control.control.analysis.indices import Indices
-from valve_control.control.linear import margins
 from valve_control.control.parameters.ros_file import as_text
-from valve_control.design.commissioning import plant
+from valve_control.control.parameters.table import VALVE
+from valve_control.design.commissioning import magnet, plant
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.sequence import Result
 from valve_control.design.identification import bode, result
-from valve_control.design.tuning import limit_cycles, verification
+from valve_control.design.tuning import limit_cycles, limits, verification
 
 THIN = 5  # every n-th sample of the slow triangle is drawn
 
 
 def page(found: Result) -> str:
     """The report as one page."""
-    times = [[name, f"{seconds:.1f}"] for name, seconds in found.seconds.items()]
     changes = [[name, as_text(found.before[name]), as_text(value)] for name, value in found.applied.items()]
+    run = found.verification.record
     return pages.page(
         "Commissioning",
         {
             "Verdict": _verdict(found),
             "The valve": _valve(found),
-            "Slow triangle": _triangle(found),
+            "Slow triangle": _figure(
+                found.tests.slow,
+                slice(None, None, THIN),
+                "model",
+                plant.simulated(found.tests.plant, found.tests.slow),
+            ),
             "Frequency response": _response(found),
             "Margins in the box": _margins(found),
-            "Verification run": _verification(found.verification.record),
+            "Verification run": _figure(run, slice(None), "command", run.command),
             "Parameters that are different from before": pages.table(["parameter", "before", "now"], changes),
-            "Time": pages.table(["step", "s"], times),
+            "Time": _table({name: f"{seconds:.1f} s" for name, seconds in found.seconds.items()}),
         },
     )
 
 
-def _times(record: Record) -> Floats:
-    times: Floats = np.arange(len(record.reading), dtype=np.float64) * record.period
-    return times
+def _table(rows: Mapping[str, Any]) -> str:
+    return pages.table(["", ""], [[name, str(value)] for name, value in rows.items()])
 
 
 def _verdict(found: Result) -> str:
-    run, limits = found.verification, found.plan.limits
+    run, within = found.verification, found.plan.limits
 
     def reached(indices: Indices) -> str:
         return f"{1e3 * indices.e_rms:.1f} mV and c_u {indices.c_u:.3f}"
@@ -65,8 +70,8 @@ def _verdict(found: Result) -> str:
             f"On the running valve these parameters gave {reached(run.before)} in the same motion."
         )
     sentences.append(
-        f"No voltage was beyond ±{limits.voltage:g} V, and in tests and verification no three readings in a "
-        f"row were beyond ±{limits.travel:g} V."
+        f"No voltage was beyond ±{within.voltage:g} V, and in tests and verification no three readings in a "
+        f"row were beyond ±{within.travel:g} V."
     )
     sentences.append("valve-control commission --undo brings the parameters from before back.")
     return pages.notes([*sentences, *found.notes])
@@ -74,64 +79,55 @@ def _verdict(found: Result) -> str:
 
 def _valve(found: Result) -> str:
     rest, static, valve = found.tests.rest, found.tests.static, found.tests.plant
-    rows = [
-        ["noise at rest", f"{1e3 * rest.noise:.3g} mV"],
-        ["step of the converter", f"{1e3 * rest.resolution:.3g} mV" if rest.resolution else "none seen"],
-        ["reading at 0 V", f"{1e3 * rest.position:.3g} mV"],
-        ["static gain (slow triangle)", f"{static.gain:.4g} V/V"],
-        ["static gain (model)", f"{valve.model.static_gain:.4g} V/V"],
-        ["voltage that holds the spool at 0 V", f"{static.offset:.3g} V"],
-        ["friction in motion", f"{valve.friction.coulomb:.3g} V"],
-        ["friction at rest, over that", f"{valve.friction.static_ratio:.3g}"],
-        [
-            "presliding of its bristles",
-            f"{1e3 * valve.presliding:.3g} mV" if valve.presliding else "none seen",
-        ],
-        ["dead zone after a turn", f"{static.dead_zone:.3g} V"],
-        ["dead time", f"{1e3 * valve.delay:.3g} ms"],
-        ["poles", result.roots_text(bode.roots(valve.model.denominator))],
-        ["zeros", result.roots_text(bode.roots(valve.model.numerator))],
-        ["-90° at", result.hertz(bode.model_corners(valve.model, valve.delay).minus_90)],
-        ["rms residual over what noise and 3 % of the motion allow", f"{valve.error:.2g}"],
-    ]
+    rows = {
+        "noise at rest": f"{1e3 * rest.noise:.3g} mV",
+        "step of the converter": f"{1e3 * rest.resolution:.3g} mV",
+        "reading at 0 V": f"{1e3 * rest.position:.3g} mV",
+        "static gain (slow triangle)": f"{static.gain:.4g} V/V",
+        "static gain (model)": f"{valve.model.static_gain:.4g} V/V",
+        "voltage that holds the spool at 0 V": f"{static.offset:.3g} V",
+        "friction in motion": f"{valve.friction.coulomb:.3g} V",
+        "friction at rest, over that": f"{valve.friction.static_ratio:.3g}",
+        "presliding of its bristles": f"{1e3 * valve.presliding:.3g} mV",
+        "dead zone after a turn": f"{static.dead_zone:.3g} V",
+        "dead time": f"{1e3 * valve.delay:.3g} ms",
+        "poles": result.roots_text(bode.roots(valve.model.denominator)),
+        "zeros": result.roots_text(bode.roots(valve.model.numerator)),
+        "-90° at": result.hertz(bode.model_corners(valve.model, valve.delay).minus_90),
+        "rms residual over what noise and 3 % of the motion allow": f"{valve.error:.2g}",
+    }
     if valve.magnet is not None:
-        m = valve.magnet
-        spool = f"{result.hertz(m.speed / math.tau)}, {m.damping:.3g}"
-        rows += [
-            ["natural frequency and damping of the spool", spool],
-            ["time constant of the coil", f"{1e3 * m.coil:.3g} ms"],
-            ["hysteresis of the magnet, full width", f"{m.hysteresis:.3g} V"],
-            ["gains of the sides over their mean", f"{m.positive:.3g} and {m.negative:.3g}"],
-            ["overlap", f"{m.overlap:.3g} V"],
-        ]
-    return pages.table(["", ""], rows)
+        units = {parameter.name: parameter.unit for parameter in VALVE}
+        own = magnet.values(valve.magnet, found.plan.sensor_delay)
+        rows |= {
+            name: f"{value:.3g} {units[name]}" for name, value in own.items() if name.startswith("solenoid.")
+        }
+    return _table(rows)
 
 
-def _triangle(found: Result) -> str:
-    record, shown = found.tests.slow, slice(None, None, THIN)
-    time, model = _times(record)[shown], plant.simulated(found.tests.plant, record)[shown]
-    positions = [
-        Line("reading", time, record.reading[shown]),
-        Line("model", time, model, dashed=True),
+def _figure(record: Record, shown: slice, name: str, other: Any) -> str:
+    """Reading, ``other`` position [V] of this ``name``, their difference and voltage."""
+    time: Floats = (np.arange(len(record.reading), dtype=np.float64) * record.period)[shown]
+    reading, other = record.reading[shown], other[shown]
+    plots = {
+        "position [V]": {"reading": reading, name: other},
+        "difference [V]": {f"reading - {name}": reading - other},
+        "voltage [V]": {"voltage": record.voltage[shown]},
+    }
+    drawn = [
+        Plot(title, [Line(label, time, y) for label, y in lines.items()]) for title, lines in plots.items()
     ]
-    voltage = Plot("voltage [V]", [Line("voltage", time, record.voltage[shown])])
-    return pages.figure([voltage, Plot("position [V]", positions)], "time [s]")
+    return pages.figure(drawn, "time [s]")
 
 
 def _response(found: Result) -> str:
     measured, valve = found.tests.response, found.tests.plant
     frequency = np.geomspace(measured.frequency[0], measured.frequency[-1], 300)
     value = bode.held_response(valve.model, frequency, measured.period, valve.delay)
-    plots = [
-        Plot(
-            title,
-            [
-                Line("measured", measured.frequency, read(measured.value)),
-                Line("model", frequency, read(value), dashed=True),
-            ],
-        )
-        for title, read in (("[dB]", bode.decibels), ("[deg]", bode.degrees))
-    ]
+    plots = []
+    for title, read in (("[dB]", bode.decibels), ("[deg]", bode.degrees)):
+        model = Line("model", frequency, read(value), dashed=True)
+        plots.append(Plot(title, [Line("measured", measured.frequency, read(measured.value)), model]))
     plots.append(Plot("coherence", [Line("measured", measured.frequency, measured.coherence)]))
     return (
         "<p>Measured: the first harmonic, friction taken out as a square wave; near 0 Hz the spool sticks at "
@@ -141,32 +137,12 @@ def _response(found: Result) -> str:
 
 
 def _margins(found: Result) -> str:
-    worst = margins.as_dict(margins.worst(found.tuned.chosen.verified.margins))
-    unseen = verification.as_dict(found.tuned.chosen.verified)
-    rows: list[tuple[str, float | None]] = [
-        ("gain up [dB]", worst["gain_db"]),
-        ("gain down [dB]", worst["reduction_db"]),
-        ("phase [deg]", worst["phase_deg"]),
-        ("delay [ms]", None if worst["delay_s"] is None else 1e3 * worst["delay_s"]),
-        ("peak of the sensitivity [dB]", worst["sensitivity_db"]),
-        ("swing about rest that friction sustains in the loop [V]", worst["swing_v"]),
-        (f"e_rms, median of {unseen['valves']} valves [mV]", 1e3 * (unseen["e_rms"]["median"] or np.nan)),
-        ("e_rms, 95 % [mV]", 1e3 * (unseen["e_rms"]["p95"] or np.nan)),
-        (f"valves that do not rest within {limit_cycles.HELD:g} s", unseen["restless"]),
-    ]
-    texts = [[name, "without end" if v is None else f"{v:.3g}"] for name, v in rows]
-    return "<p>The least over a box around this valve.</p>" + pages.table(["", ""], texts)
-
-
-def _verification(record: Record) -> str:
-    time = _times(record)
-    return pages.figure(
-        [
-            Plot(
-                "position [V]", [Line("command", time, record.command), Line("reading", time, record.reading)]
-            ),
-            Plot("error [V]", [Line("error", time, record.reading - record.command)]),
-            Plot("voltage [V]", [Line("voltage", time, record.voltage)]),
-        ],
-        "time [s]",
-    )
+    verified = found.tuned.chosen.verified
+    unseen, rows = verification.as_dict(verified), {}
+    for name, worst in limits.worst(limits.of_margins(verified.margins)).items():
+        rows[f"{name} [{limits.BY_NAME[name].unit or '-'}]"] = limits.BY_NAME[name].scale * worst
+    for share, error in unseen["e_rms"].items():
+        rows[f"e_rms, {share} of {unseen['valves']} valves [V]"] = np.inf if error is None else error
+    rows[f"valves that do not rest within {limit_cycles.HELD:g} s"] = unseen["restless"]
+    texts = {name: f"{v:.3g}" if np.isfinite(v) else "without end" for name, v in rows.items()}
+    return "<p>The least over a box around this valve.</p>" + _table(texts)

@@ -9,7 +9,7 @@ import io
 import itertools
 import json
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,10 +39,15 @@ class Backup(NamedTuple):
 
 
 class Folder:
-    """Files of the commissioning of the controller ``node`` in ``path``; ``wrote`` gets each result."""
+    """Files of the commissioning of the controller ``node`` in ``path``, within ``limits``.
 
-    def __init__(self, path: Path, node: str, wrote: Callable[[Path], None] = lambda path: None) -> None:
-        self.path, self.node = path, node
+    ``wrote`` gets each result.
+    """
+
+    def __init__(
+        self, path: Path, node: str, limits: SafetyLimits, wrote: Callable[[Path], None] = lambda path: None
+    ) -> None:
+        self.path, self.node, self._limits = path, node, limits
         self.results: list[Path] = []
         self._wrote = wrote
         self._tests: dict[str, Record] = {}
@@ -66,14 +71,12 @@ class Folder:
         ``present``: parameters of the controller.
         """
         backup = self.backup()
-        if backup is None:
-            return
-        if backup.node != self.node and backup.state in (RUNNING, DONE):
+        if backup is not None and backup.node != self.node and backup.state in (RUNNING, DONE):
             raise ParameterError(
                 f"{self.path} has the parameters from before the commissioning of {backup.node}; --folder "
                 f"gives {self.node} one of its own"
             )
-        if backup.state == RUNNING and sequence.differences(present, backup.values):
+        if backup is not None and backup.state == RUNNING and sequence.differences(present, backup.values):
             raise ParameterError(
                 f"a commissioning of {backup.node} was not brought to its end, and {self.path} has the "
                 "parameters from before it; --undo brings them back"
@@ -84,9 +87,8 @@ class Folder:
 
         What an earlier commissioning has left moves to a folder of its own, which is returned.
         """
-        results = [REPORT, RESULT, TUNED, VALVE, TESTS, STATE, PARAMETERS]
-        left = [self.path / name for name in results if (self.path / name).exists()]
-        left += sorted(self.path.glob(REFUSED.format("*")))
+        names = [REPORT, RESULT, TUNED, VALVE, TESTS, STATE, PARAMETERS, REFUSED.format("*")]
+        left = sorted(path for name in names for path in self.path.glob(name))
         aside = None
         if left:
             places = (self.path / EARLIER / str(number) for number in itertools.count(1))
@@ -96,17 +98,16 @@ class Folder:
                 path.rename(aside / path.name)
         self.path.mkdir(parents=True, exist_ok=True)
         about = "Parameters from before the commissioning; --undo brings them back."
-        outputs.write(str(self.path / PARAMETERS), ros_file.as_yaml({self.node: before}, [about]))
+        self._keep(PARAMETERS, self.node, before, about)
         self.mark(RUNNING)
-        self._wrote(self.path / PARAMETERS)
         return aside
 
     def mark(self, state: str) -> None:
         """Write how the commissioning stands. Raises OSError."""
         outputs.write(str(self.path / STATE), outputs.as_json({"node": self.node, "state": state}))
 
-    def keep_test(self, name: str, record: Record, limits: SafetyLimits) -> None:
-        """Write a whole test, beside those before it, that was made within ``limits``. Raises OSError."""
+    def tested(self, name: str, record: Record) -> None:
+        """Write a whole test, beside those before it. Raises OSError."""
         self._tests[name] = record
         arrays: dict[str, Any] = {
             f"{test}.{field}": np.asarray(value)
@@ -114,11 +115,11 @@ class Folder:
             for field, value in one._asdict().items()
         }
         packed = io.BytesIO()
-        np.savez_compressed(packed, node=np.array(self.node), limits=np.array(limits), **arrays)
+        np.savez_compressed(packed, node=np.array(self.node), limits=np.array(self._limits), **arrays)
         outputs.write(str(self.path / TESTS), packed.getvalue())
 
-    def tests(self, limits: SafetyLimits, period: float) -> dict[str, Record]:
-        """Whole tests by name. Raises ParameterError unless they have these limits and this period [s]."""
+    def tests(self, period: float) -> dict[str, Record]:
+        """Whole tests by name. Raises ParameterError unless they have the limits and this ``period`` [s]."""
         path = self.path / TESTS
         if not path.exists():
             raise ParameterError(
@@ -128,11 +129,20 @@ class Folder:
             with np.load(path) as content:
                 node, within = str(content["node"]), SafetyLimits(*map(float, content["limits"]))
                 names = {name.rpartition(".")[0] for name in content.files} - {""}
-                records = {name: _record(content, name) for name in names}
+                arrays = {
+                    name: {f: content[f"{name}.{f}"] for f in Record._fields if f"{name}.{f}" in content}
+                    for name in names
+                }
+                records = {
+                    name: Record(
+                        **{**one, "period": float(one["period"]), "begins": tuple(one["begins"].tolist())}
+                    )
+                    for name, one in arrays.items()
+                }
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise ParameterError(f"{path} is damaged: {error}") from error
         periods = {record.period for record in records.values()}
-        if (node, within) != (self.node, limits) or periods - {period}:
+        if (node, within) != (self.node, self._limits) or periods - {period}:
             raise ParameterError(
                 f"the tests in {self.path} are of {node} within ±{within.voltage:g} V and "
                 f"±{within.travel:g} V of travel; --resume needs the same node, --max-voltage, --travel and "
@@ -140,11 +150,11 @@ class Folder:
             )
         return records
 
-    def keep_valve(self, valve: Values) -> None:
+    def fitted(self, valve: Values) -> None:
         """Write the fitted valve, which is worth having whatever becomes of the gains. Raises OSError."""
         self._keep(VALVE, "/**/valve_simulator", valve, "The valve as commissioning found it.")
 
-    def keep_refused(self, changes: Values, reason: str) -> None:
+    def refused(self, changes: Values, reason: str) -> None:
         """Write gains that are not accepted. Raises OSError."""
         self._refusals += 1
         about = f"Gains that were not accepted: {reason}."
@@ -176,14 +186,6 @@ class Folder:
         for path in self.results:
             path.unlink(missing_ok=True)
         self.mark(ABORTED)
-
-
-def _record(content: Mapping[str, Any], name: str) -> Record:
-    reading, voltage, command, begins, latency = (
-        content[f"{name}.{field}"] for field in ("reading", "voltage", "command", "begins", "latency")
-    )
-    period = float(content[f"{name}.period"])
-    return Record(period, reading, voltage, command, tuple(map(int, begins)), latency)
 
 
 def tuned_values(before: Values, applied: Values) -> Values:

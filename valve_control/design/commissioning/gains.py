@@ -24,7 +24,7 @@ from valve_control.design.commissioning.statics import Rest
 from valve_control.design.identification.first_gains import FRICTION_TERMS
 from valve_control.design.tuning import box, trial, tuner
 from valve_control.design.tuning.trial import Problem, TuningMotion
-from valve_control.design.tuning.tuner import Aim, Tuned
+from valve_control.design.tuning.tuner import Tuned
 from valve_control.parameter import Values, defaults, number, updated
 
 WORSE = 1.5  # times error and chatter of the simulation, that the running valve may have
@@ -37,7 +37,6 @@ PAUSE = 0.3  # s  after each motion of the verification run
 REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
 RECOVERY = 0.2  # s  after a late voltage or command, in which a run shows the machine and not the gains
 SATURATED = 0.5  # share of samples at the limit of the voltage, from which on a simulated loop is unstable
-VERIFYING = 3.5  # sets of gains in the search, that verification of one set takes on as many valves
 
 
 class TunedGains(NamedTuple):
@@ -110,23 +109,19 @@ def task(plan: Plan, before: Values, fitted: Plant, known: model.Known, rest: Re
     source = updated(NODES["command_source"], defaults(NODES["command_source"]), {"sample_period": period})
     settings = {"controller": values, "valve_simulator": valve, "command_source": source}
     quantities = model.box(fitted, period, wider, plan.sensor_delay)
-    other_seed = plan.seed + box.UNSEEN_SEED
-    searched = box.study_of(settings, quantities, plan.valves, plan.seed)
-    other = box.study_of(settings, quantities, plan.unseen, other_seed)
-    problem = Problem(
-        values=values,
+    problem, unseen = box.problems(
+        settings,
+        quantities,
+        plan.valves,
+        plan.unseen,
+        plan.seed,
         motions=model.motions(fitted, known, limits, period),
-        plants=box.drawn(searched),
-        box=box.bounding(searched),
         limits=trial.USUAL,
         preview=False,
-        seed=plan.seed,
         strict=wider > 1.0,
         scale=scale_of(fitted.model),
     )
-    unseen = problem._replace(plants=box.drawn(other), box=box.bounding(other), seed=other_seed)
-    starts = [before] if before["controller"] == plan.law else []
-    return Task(problem, unseen, valve, knowledge, starts)
+    return Task(problem, unseen, valve, knowledge, [before] if before["controller"] == plan.law else [])
 
 
 def _knowledge(before: Values, known: model.Known, law: str) -> Values:
@@ -136,16 +131,11 @@ def _knowledge(before: Values, known: model.Known, law: str) -> Values:
     the first gains is left out, so that each form is tuned, unless ``before`` chooses one.
     """
     usual = defaults(CONTROLLER)
-    earlier = {
-        name: usual[name]
-        for name in FRICTION_TERMS
-        if name.startswith(f"{law}.") and before[name] != usual[name]
-    }
-    forms = {
-        name for variant in LAWS[law].variants for name, value in variant.items() if isinstance(value, str)
-    }
+    own = {name for name, value in before.items() if value != usual[name]}
+    earlier = {name: usual[name] for name in FRICTION_TERMS if name.startswith(f"{law}.") and name in own}
+    forms = {name for variant in LAWS[law].variants for name, v in variant.items() if isinstance(v, str)}
     values = {**earlier, **model.controller_values(known, law)}
-    return {name: v for name, v in values.items() if name not in forms or before[name] != usual[name]}
+    return {name: value for name, value in values.items() if name not in forms - own}
 
 
 def learning_path(fitted: Plant, law: str, travel: float) -> Values:
@@ -165,17 +155,12 @@ def tuned(plan: Plan, wanted: Task, fitted: Plant, tell: Progress) -> TunedGains
     """Gains for the task ``wanted``; what ``tell`` raises ends the search. Raises ParameterError."""
     law = LAWS[plan.law]
     total = plan.budget * len(tuner.variants(law, wanted.problem.values))
-    verifying = VERIFYING * plan.unseen / plan.valves
-
-    def done(sets: float, verifications: int = 1) -> None:
-        tell(sets, total + verifications * verifying)
-
-    done(0.0)
+    tell(0.0, total)
     best = tuner.tuned(
-        law, wanted.problem, wanted.unseen, Aim(plan.chatter, plan.firm), plan.budget, plan.seed, done,
-        plan.threads, lambda tried: done(total + tried * verifying, tried + 1), wanted.starts,
+        law, wanted.problem, wanted.unseen, plan.chatter, plan.budget, plan.seed,
+        lambda sets: tell(min(sets, total), total), plan.threads, wanted.starts, plan.firm,
     )  # fmt: skip
-    done(total + verifying)
+    tell(total, total)
     late = learning_path(fitted, best.law, plan.limits.travel)
     changes = {**wanted.knowledge, **best.chosen.changes, **late, "controller": best.law}
     return TunedGains(best, list(wanted.problem.motions), wanted.valve, changes)

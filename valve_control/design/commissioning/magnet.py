@@ -93,18 +93,6 @@ def solenoid_params(m: Magnet, period: float) -> solenoid.Params:
     )
 
 
-def without_solenoids(m: Magnet) -> tuple[TransferFunction, float] | None:
-    """Model of second order and dead time [s] of a valve whose coil is at its bound; None: it is not.
-
-    A lag that is so short is no coil, and counts as dead time.
-    """
-    if m.coil > AT_BOUND * FASTEST_COIL:
-        return None
-    squared = m.speed**2
-    model = TransferFunction((m.gain * squared,), (1.0, 2.0 * m.damping * m.speed, squared))
-    return model, m.delay + m.coil
-
-
 def values(m: Magnet, sensor_delay: float) -> Values:
     """``m`` as parameters of the simulated valve.
 
@@ -134,21 +122,22 @@ def values(m: Magnet, sensor_delay: float) -> Values:
 
 
 def first_guess(model: TransferFunction, friction: Friction, offset: float, delay: float) -> Magnet:
-    """Where a search begins: a fitted ``model``, its ``delay`` [s] and ``offset`` [V] as a disturbance."""
+    """Where a search begins: a fitted ``model``, its ``delay`` [s] and ``offset`` [V] as a disturbance.
+
+    The spool is the pair of poles; of three real ones the slower two.
+    """
     poles = sorted(np.roots(model.denominator), key=lambda pole: (abs(pole), pole.imag))
-    slow = poles[:2] if len(poles) < 3 or abs(poles[1] - np.conj(poles[0])) < 1e-6 * abs(poles[0]) else None
-    if slow is None:  # a real pole before the pair, or three real ones
-        pair = [pole for pole in poles if pole.imag != 0.0][:2]
-        slow = pair or poles[:2]
+    slow = [pole for pole in poles if pole.imag != 0.0][:2] or poles[:2]
+    if len(poles) < 3 or abs(poles[1] - np.conj(poles[0])) < 1e-6 * abs(poles[0]):
+        slow = poles[:2]
     speed = math.sqrt(abs(slow[0] * slow[1]))
     damping = float(-np.real(slow[0] + slow[1])) / (2.0 * speed)
     others = [pole.real for pole in poles if pole not in slow and pole.imag == 0.0]
-    coil = -1.0 / others[0] if others and others[0] < 0.0 else COIL / speed
     coulomb = max(STUCK, friction.coulomb)
     return Magnet(
         speed=speed,
         damping=min(3.0, max(0.1, damping)),
-        coil=coil,
+        coil=-1.0 / others[0] if others and others[0] < 0.0 else COIL / speed,
         gain=model.static_gain,
         sides=0.0,
         hysteresis=WIDTH * coulomb,
@@ -205,14 +194,6 @@ def of_unknowns(x: Floats, period: float) -> Magnet:
     return Magnet(*numbers)
 
 
-def bounds(begin: Magnet, period: float) -> tuple[Floats, Floats]:
-    """Lower and upper bounds of the unknowns of a search from ``begin`` on."""
-    factors = [(u, value if u.relative else 1.0) for u, value in zip(_UNKNOWNS.values(), begin, strict=True)]
-    low = Magnet(*(u.low * factor for u, factor in factors))
-    high = Magnet(*(u.high * factor for u, factor in factors))
-    return unknowns(low, period), unknowns(high, period)
-
-
 def refined(
     begin: Magnet,
     period: float,
@@ -224,7 +205,9 @@ def refined(
 
     On so many ``threads``, with the same result; ``tell`` is called here after each simulation.
     """
-    low, high = bounds(begin, period)
+    about = [(u, value if u.relative else 1.0) for u, value in zip(_UNKNOWNS.values(), begin, strict=True)]
+    low = unknowns(Magnet(*(u.low * factor for u, factor in about)), period)
+    high = unknowns(Magnet(*(u.high * factor for u, factor in about)), period)
     inside = np.clip(unknowns(begin, period), low + INSIDE * (high - low), high - INSIDE * (high - low))
 
     def simulated(x: Floats) -> Floats:
@@ -239,9 +222,8 @@ def refined(
         def jacobian(x: Floats) -> Floats:
             """Differences towards the middle of the bounds, so that all stay within."""
             steps = np.where(x > 0.5 * (low + high), -STEP, STEP) * np.maximum(1.0, np.abs(x))
-            moved = [x + step * unit for step, unit in zip(steps, np.eye(len(x)), strict=True)]
             results = []
-            for result in pool.map(simulated, [x, *moved]):
+            for result in pool.map(simulated, [x, *(x + np.diag(steps))]):
                 tell()
                 results.append(result)
             here, *there = results

@@ -62,39 +62,28 @@ class Known:
         best = rational.fit(exact, order, zeros, late) if order > 2 else self.second
         self.theta = theta.suggest(exact, self.second, best, u_max)
 
-        lvdt = Lvdt(rest.noise, rest.resolution)
-        delay = plant.delay if late else 0.0
+        delay, m = plant.delay if late else 0.0, plant.magnet
+        # Friction of a valve with solenoids, apart from its play; of a linear one the law learns it.
+        rubbing = None if m is None else Friction(m.coulomb, m.presliding, m.gain, m.offset, 0)
+        sides = None
+        if m is not None:
+            sides = first_gains.Magnet(m.coil, 0.5 * m.hysteresis, m.positive / m.negative - 1.0)
         whole = first_gains.KnownValve(
             model=plant.model,
             delay=delay,
             theta=self.theta,
-            lvdt=lvdt,
+            lvdt=Lvdt(rest.noise, rest.resolution),
             period=period,
             u_max=u_max,
-            friction=_rubbing(plant),
+            friction=rubbing,
             sensor_delay=sensor_delay,
-            magnet=_sides(plant),
+            magnet=sides,
         )
         gains, notes = first_gains.first(whole), list[str]()
         if law in gains.refusals and any(p.name == f"{law}.denominator" for p in CONTROLLER):
             gains, notes = _simpler(exact, whole, law, gains.refusals[law])
         self.gains = gains.values
         self.notes = (*notes, *gains.notes, *dead_time.notes(delay, sensor_delay))
-
-
-def _rubbing(plant: Plant) -> Friction | None:
-    """Friction of a valve with solenoids, apart from its play; None: the law learns it."""
-    if plant.magnet is None:
-        return None
-    m = plant.magnet
-    return Friction(m.coulomb, m.presliding, m.gain, m.offset, 0)
-
-
-def _sides(plant: Plant) -> first_gains.Magnet | None:
-    m = plant.magnet
-    if m is None:
-        return None
-    return first_gains.Magnet(m.coil, 0.5 * m.hysteresis, m.positive / m.negative - 1.0)
 
 
 def _simpler(

@@ -114,9 +114,7 @@ def fitted(
     if best.error > EXPLAINED:
         best = _best([best, *(_near(tests, fit, friction, offset) for fit in richer())])
     if friction.coulomb > 0.0 and best.error > SUSPECT:
-        solenoids = _with_solenoids(tests, _third(fits, best), friction, offset)
-        if solenoids.error < SIMPLER * best.error:
-            best = _linear_if_as_good(tests, solenoids)
+        return _with_solenoids(tests, fits, best, friction, offset)
     return best
 
 
@@ -219,11 +217,6 @@ class _Form(NamedTuple):
     static_ratio: float
     period: float  # s
 
-    @property
-    def latest(self) -> float:
-        """Upper bound of the dead time [periods]."""
-        return max(LATEST, LATEST_TIME / self.period)
-
     def plant(self, x: Floats) -> Plant:
         """The valve with unknowns ``x``."""
         coefficients = np.exp(np.clip(x[: self.order], *self.coefficients()) - 1.0)
@@ -239,16 +232,13 @@ class _Form(NamedTuple):
     def coefficients(self) -> tuple[Floats, Floats]:
         """Least and largest unknowns of the poles; those beyond are taken for these."""
         powers = np.array([1.0 + i % 2 for i in range(self.order)])
-        return (
-            1.0 + powers * math.log(SLOWEST_POLE),
-            1.0 + powers * math.log(_fastest(self.period)),
-        )
+        return 1.0 + powers * math.log(SLOWEST_POLE), 1.0 + powers * math.log(_fastest(self.period))
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Lower and upper bounds of the unknowns."""
         count = self.order + self.zeros + 3
         lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
-        lower[-3], lower[-1], upper[-1] = 0.0, 0.0, self.latest
+        lower[-3], lower[-1], upper[-1] = 0.0, 0.0, max(LATEST, LATEST_TIME / self.period)
         return lower, upper
 
     def inside(self, x: Floats) -> Floats:
@@ -256,7 +246,7 @@ class _Form(NamedTuple):
         begin = x.copy()
         least, most = self.coefficients()
         begin[: self.order] = np.clip(begin[: self.order], least + AWAY, most - AWAY)
-        begin[-3], begin[-1] = max(begin[-3], 1e-6), min(max(begin[-1], 1e-3), self.latest - 1e-3)
+        begin[-3], begin[-1] = max(begin[-3], 1e-6), min(max(begin[-1], 1e-3), self.bounds()[1][-1] - 1e-3)
         return begin
 
 
@@ -291,55 +281,49 @@ class _Tests(NamedTuple):
 def _near(tests: _Tests, fit: Fit, friction: Friction, offset: float) -> Plant:
     """The valve of the form of ``fit`` near it, with this ``friction`` and ``offset`` [V] at first."""
     form = _Form(fit.order, len(fit.model.numerator), friction.static_ratio, tests.period)
-    return _refined(tests, form, _parameters(fit, friction, offset, tests.period))
-
-
-def _refined(tests: _Tests, form: _Form, begin: Floats) -> Plant:
-    """The valve near ``begin`` whose error is least."""
 
     def residual(x: Floats) -> Floats:
         tests.tell()
         return tests.errors(form.plant(x))
 
     done = scipy.optimize.least_squares(
-        residual, form.inside(begin), bounds=form.bounds(), diff_step=STEP, x_scale="jac", loss="soft_l1",
-        max_nfev=EVALUATIONS,
+        residual, form.inside(_parameters(fit, friction, offset, tests.period)), bounds=form.bounds(),
+        diff_step=STEP, x_scale="jac", loss="soft_l1", max_nfev=EVALUATIONS,
     )  # fmt: skip
     return tests.judged(form.plant(done.x))
 
 
-def _third(fits: Sequence[Fit], best: Plant) -> Fit:
-    """The fit of third order without zeros, or that of the order of ``best``."""
-    order = len(best.model.denominator) - 1
-    return next(
+def _with_solenoids(
+    tests: _Tests, fits: Sequence[Fit], linear: Plant, friction: Friction, offset: float
+) -> Plant:
+    """The valve with solenoids near a third order of ``fits``, if clearly better than the ``linear`` one.
+
+    A linear one with its friction, if that explains the readings as well and the coil is at its bound: such a
+    short lag is no coil, and counts as dead time.
+    """
+    order = len(linear.model.denominator) - 1
+    begin = next(
         (f for f in fits if f.order == 3 and len(f.model.numerator) == 1),
         next((f for f in fits if f.order == order), fits[0]),
     )
-
-
-def _with_solenoids(tests: _Tests, begin: Fit, friction: Friction, offset: float) -> Plant:
-    """The valve with solenoids near the fit ``begin`` whose error is least."""
 
     def plant(m: Magnet) -> Plant:
         level = Friction(m.coulomb, m.static_ratio)
         return Plant(m.model, level, m.offset, m.delay, math.inf, m.presliding, m)
 
-    nearest = magnet.refined(
+    m = magnet.refined(
         magnet.first_guess(begin.model, friction, -offset, begin.delay), tests.period,
         lambda m: tests.errors(plant(m)), tests.tell, tests.threads,
     )  # fmt: skip
-    return tests.judged(plant(nearest))
-
-
-def _linear_if_as_good(tests: _Tests, solenoids: Plant) -> Plant:
-    """A linear valve with the friction of that with ``solenoids``, if it explains the readings as well."""
-    assert solenoids.magnet is not None
-    simpler = magnet.without_solenoids(solenoids.magnet)
-    if simpler is None:
-        return solenoids
-    model, delay = simpler
-    linear = tests.judged(solenoids._replace(model=model, delay=delay, magnet=None))
-    return linear if linear.error <= AS_GOOD * solenoids.error else solenoids
+    nearest = tests.judged(plant(m))
+    if nearest.error >= SIMPLER * linear.error:
+        return linear
+    if m.coil > magnet.AT_BOUND * magnet.FASTEST_COIL:
+        return nearest
+    squared = m.speed**2
+    model = TransferFunction((m.gain * squared,), (1.0, 2.0 * m.damping * m.speed, squared))
+    simpler = tests.judged(nearest._replace(model=model, delay=m.delay + m.coil, magnet=None))
+    return simpler if simpler.error <= AS_GOOD * nearest.error else nearest
 
 
 def _fastest(period: float) -> float:

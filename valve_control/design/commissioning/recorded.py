@@ -10,7 +10,7 @@ solenoids as a whole: the sensor keeps what is known of it, and the rest is the 
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,14 +18,19 @@ import scipy.optimize
 
 from valve_control.arrays import Floats
 from valve_control.control.parameters import build
-from valve_control.control.parameters.table import NODES
+from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.plant import registry
 from valve_control.control.plant.amplifier import saturate
-from valve_control.control.simulation.robustness import Quantity
+from valve_control.control.simulation.robustness import Quantity, Settings
 from valve_control.design.commissioning.plant import first_reading, positions
-from valve_control.design.identification import dead_time, lvdt
+from valve_control.design.identification import dead_time, lvdt, recorded
 from valve_control.design.identification.experiment import Experiment, held
+from valve_control.design.tuning import box as boxes
+from valve_control.design.tuning.trial import TuningMotion
 from valve_control.parameter import ParameterError, Values, number, updated
+from valve_control.recordings import recording
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.recording import Recording, ValveRecording
 
 START = 0.3  # s  in which the simulated valve, which begins at rest, moves as the spool did
 SPREAD = 8.0  # times the noise: range of some hundred readings of a spool that stands still
@@ -49,6 +54,15 @@ class Learnt(NamedTuple):
     bound: float  # half-width of its 95 % confidence interval
     determined: bool
 
+    @property
+    def sentence(self) -> str:
+        """For the user."""
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        times = " (times the known valve's)" if self.name in FACTORS else ""
+        if self.determined:
+            return f"{self.name}: {self.value:.4g} ± {self.bound:.2g}{unit}{times}"
+        return f"{self.name}: not determined by this recording; stays {self.value:.4g}{unit}{times}"
+
 
 class RecordedValve(NamedTuple):
     """The valve of a recording."""
@@ -56,8 +70,17 @@ class RecordedValve(NamedTuple):
     values: Values  # of the simulated valve
     learnt: list[Learnt]
     residual: float  # V  rms, of the readings
-    noise: float  # V
     notes: list[str]
+
+
+class RecordedRun(NamedTuple):
+    """What a recorded run says of its valve, and what to tune on."""
+
+    fitted: RecordedValve
+    settings: Settings  # parameters by node
+    box: list[Quantity]  # around the fitted valve
+    motion: TuningMotion
+    notes: Sequence[str]
 
 
 class _Form(NamedTuple):
@@ -77,8 +100,67 @@ FORMS = (
     _Form("friction.coulomb", "V", 0.1, 0.05, 0.1, 0.0, 9.0),
     _Form("lvdt.delay", "s", 0.001, 0.0005, 0.00025, 0.0, 0.02),
 )
+FACTORS = ("gain", "speed")  # of the known valve's
 BEFORE_COIL = "solenoid.dead_time"  # of the actuator
 WHOLE = "dead_time"  # name of that of actuator and sensor together
+
+
+def run(
+    name: str,
+    loaded: Recording,
+    valve: ValveRecording,
+    settings: Settings,
+    quantities: Sequence[Quantity],
+    fixed: Sequence[str],
+    chosen: Values,
+) -> RecordedRun:
+    """What the recording ``name`` of a ``valve`` says, beside the known ``settings``.
+
+    ``quantities`` of the box that it does not determine stay; ``fixed`` ones keep their value. ``chosen``:
+    the controller's parameters that somebody has chosen; else those of the recording. Raises ParameterError
+    and BagError.
+    """
+    if "spool_command" not in valve.signals or len(valve.signals["spool_command"].time) == 0:
+        raise BagError(f"{valve.name} has no spool_command, so there is nothing to tune on")
+    tested = recorded.recorded(loaded, valve)
+    fitted = learnt(tested, settings["valve_simulator"], fixed)
+    controller = settings["controller"]
+    if valve.controller is not None:
+        last = dict(valve.controller.initial)
+        for change in valve.controller.changes:
+            last.update(change.values)
+        controller = updated(CONTROLLER, valve.controller.table_values(last)[0], chosen)
+    u_max = number(fitted.values, "u_max")
+    controller = updated(CONTROLLER, controller, {"sample_period": tested.period, "u_max": u_max})
+    command = recording.align(valve).command
+    wanted = motion(command, tested.period, number(controller, "command_limit"))
+    if float(wanted.max() - wanted.min()) == 0.0:
+        raise ParameterError(f"{name} has no excitation: its command does not move")
+    boxes.check_reach(fitted.values, float(wanted[abs(wanted).argmax()]), f"of {name}")
+    source = {**settings["command_source"], "sample_period": tested.period}
+    own = {"controller": controller, "valve_simulator": fitted.values, "command_source": source}
+    return RecordedRun(
+        fitted=fitted,
+        settings={**settings, **own},
+        box=box(fitted, quantities),
+        motion=TuningMotion(name, wanted),
+        notes=[*fitted.notes, *tested.notes],
+    )
+
+
+def as_dict(fitted: RecordedValve) -> dict[str, Any]:
+    """For JSON: the quantities of the fitted valve, and the rms residual [V] of its readings."""
+    return {
+        "valve": {
+            one.name: {
+                "value": one.value,
+                "bound": one.bound if one.determined else None,
+                "determined": one.determined,
+            }
+            for one in fitted.learnt
+        },
+        "residual": fitted.residual,
+    }
 
 
 def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedValve:
@@ -86,13 +168,11 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedV
 
     Raises ParameterError, one sentence, for a recording without excitation.
     """
-    voltage, position, times = held(tested.voltage), tested.position, tested.times
+    voltage, reading, times, notes = held(tested.voltage), tested.position, tested.times, list[str]()
     if times is not None:
-        voltage, position = times.voltage, np.where(times.late, np.nan, position)
-    notes = [] if times is None else dead_time.way_notes(times.way)
-    voltage, reading = np.nan_to_num(voltage), position
-    seen = lvdt.observe(reading)
-    usable = np.isfinite(reading)
+        voltage, reading = times.voltage, np.where(times.late, np.nan, reading)
+        notes = dead_time.way_notes(times.way)
+    voltage, seen, usable = np.nan_to_num(voltage), lvdt.observe(reading), np.isfinite(reading)
     moved = float(np.std(reading[usable])) if np.any(usable) else 0.0
     noise = max(QUIET, float(np.hypot(seen.noise, seen.resolution / np.sqrt(12.0))))
     if moved < LEAST_MOTION * noise:
@@ -106,18 +186,15 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedV
     usable[: round(START / tested.period)] = False
     unknown: list[Learnt] = []
     while free:
-        x, bounds, residual = _search(base, begin, free, voltage, reading, usable)
-        found = [
-            Learnt(form.name, form.unit, _value(form, begin, at), float(bound), bool(bound <= form.certain))
-            for form, at, bound in zip(free, x, bounds, strict=True)
-        ]
+        found, residual = _search(base, begin, free, voltage, reading, usable)
         worst = int(np.argmax([one.bound / form.certain for one, form in zip(found, free, strict=True)]))
         if found[worst].determined:
             lvdt_of = {"lvdt.noise": seen.noise, "lvdt.resolution": seen.resolution}
             values = _with(base, {one.name: one.value for one in found})
             values = updated(NODES["valve_simulator"], values, lvdt_of)
-            quantities = [_named(one, base) for one in (*found, *unknown)]
-            return RecordedValve(values, quantities, residual, noise, notes)
+            whole = {"lvdt.delay": WHOLE} if _has_coil(base) else {}
+            quantities = [one._replace(name=whole.get(one.name, one.name)) for one in (*found, *unknown)]
+            return RecordedValve(values, quantities, residual, notes)
         unknown.append(found[worst]._replace(value=begin[found[worst].name]))
         del free[worst]
     raise ParameterError(
@@ -126,49 +203,36 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedV
     )
 
 
-def box(found: RecordedValve, usual: Sequence[Quantity]) -> list[Quantity]:
-    """The ``usual`` box, narrower in what was determined, around the valve that was found."""
-    named = {"lvdt.delay" if one.name == WHOLE else one.name: one for one in found.learnt}
-    certain = {name: one for name, one in named.items() if one.determined}
-    forms = {form.name: form for form in FORMS}
-    made = []
+def box(fitted: RecordedValve, usual: Sequence[Quantity]) -> list[Quantity]:
+    """The ``usual`` box, narrower in what was determined, around the ``fitted`` valve."""
+    named = {"lvdt.delay" if one.name == WHOLE else one.name: one for one in fitted.learnt}
+    margins = {form.name: form.margin for form in FORMS}
+    quantities = []
     for q in usual:
-        if q.name not in forms:
-            continue
-        if q.name not in certain:
-            made.append(q)
-            continue
-        one = certain[q.name]
-        middle = 1.0 if q.name in ("gain", "speed") else number(found.values, q.name)
-        reach = one.bound + forms[q.name].margin
-        low = middle - reach
-        made.append(q._replace(low=max(0.0, low) if q.low >= 0.0 else low, high=middle + reach))
-    return made
+        if q.name in named and named[q.name].determined:
+            middle = 1.0 if q.name in FACTORS else number(fitted.values, q.name)
+            reach = named[q.name].bound + margins[q.name]
+            low = middle - reach
+            q = q._replace(low=max(0.0, low) if q.low >= 0.0 else low, high=middle + reach)
+        if q.name in margins:
+            quantities.append(q)
+    return quantities
 
 
 def _has_coil(values: Values) -> bool:
     return registry.chosen(values).name == "solenoid"
 
 
-def _named(one: Learnt, base: Values) -> Learnt:
-    """``one`` under the name of what was learnt of the valve ``base``."""
-    return one._replace(name=WHOLE) if one.name == "lvdt.delay" and _has_coil(base) else one
-
-
 def _present(name: str, values: Values) -> float:
     if name == "lvdt.delay" and _has_coil(values):
         return number(values, name) + number(values, BEFORE_COIL)
-    return 1.0 if name in ("gain", "speed") else number(values, name)
-
-
-def _value(form: _Form, begin: Mapping[str, float], x: float) -> float:
-    return float(begin[form.name] + form.scale * (x - 1.0))
+    return 1.0 if name in FACTORS else number(values, name)
 
 
 def _with(base: Values, quantities: Mapping[str, float]) -> Values:
     """``base`` with the quantities in their places. Raises ParameterError."""
     gain, speed = quantities.get("gain", 1.0), quantities.get("speed", 1.0)
-    others = {name: value for name, value in quantities.items() if name not in ("gain", "speed")}
+    others = {name: value for name, value in quantities.items() if name not in FACTORS}
     if "lvdt.delay" in others and _has_coil(base):
         own = dead_time.divided(others["lvdt.delay"], number(base, "lvdt.delay"))
         others.update({"lvdt.delay": own.sensor, BEFORE_COIL: own.actuator})
@@ -199,15 +263,21 @@ def _search(
     voltage: Floats,
     reading: Floats,
     usable: npt.NDArray[np.bool_],
-) -> tuple[Floats, Floats, float]:
-    """Numbers of the search, their 95 % bounds in the quantities' units, and the rms residual [V]."""
+) -> tuple[list[Learnt], float]:
+    """The ``free`` quantities as ``reading`` [V] shows them, and the rms residual [V]."""
     quiet = {**base, "lvdt.noise": 0.0}
-    begin_at = _standing(reading, number(base, "sample_period"))
+    period = number(base, "sample_period")
+    begin_at = _standing(reading, period)
+
+    def quantities(x: Floats) -> dict[str, float]:
+        return {
+            form.name: float(begin[form.name] + form.scale * (v - 1.0))
+            for form, v in zip(free, x.tolist(), strict=True)
+        }
 
     def residual(x: Floats) -> Floats:
-        quantities = {form.name: _value(form, begin, float(v)) for form, v in zip(free, x, strict=True)}
         with np.errstate(over="ignore", invalid="ignore"):
-            position = positions(build.valve_params(_with(quiet, quantities)), voltage, begin_at)
+            position = positions(build.valve_params(_with(quiet, quantities(x))), voltage, begin_at)
         rest: Floats = np.clip(np.nan_to_num(position - reading, nan=1e3)[usable], -1e3, 1e3)
         return rest
 
@@ -223,7 +293,7 @@ def _search(
         residual, start, bounds=(low, high), diff_step=COARSE if rough else STEP, max_nfev=EVALUATIONS
     )
     rest = np.asarray(done.fun, dtype=np.float64)
-    variance = float(np.mean(rest**2)) * _alike(rest, number(base, "sample_period"))
+    variance = float(np.mean(rest**2)) * _alike(rest, period)
     inverse = np.linalg.pinv(done.jac.T @ done.jac, rcond=1e-12)
     seen = np.linalg.norm(done.jac, axis=0)
     deviation = np.sqrt(np.diag(inverse) * variance)
@@ -231,7 +301,12 @@ def _search(
     if rough:
         late = [form.name == "lvdt.delay" for form in free]
         bounds = np.where(late, np.hypot(bounds, ROUGH), bounds)
-    return np.asarray(done.x), bounds, float(np.sqrt(np.mean(rest**2)))
+    values = quantities(np.asarray(done.x))
+    found = [
+        Learnt(form.name, form.unit, values[form.name], bound, bound <= form.certain)
+        for form, bound in zip(free, bounds.tolist(), strict=True)
+    ]
+    return found, float(np.sqrt(np.mean(rest**2)))
 
 
 def _standing(reading: Floats, period: float) -> float | None:

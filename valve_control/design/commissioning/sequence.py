@@ -217,10 +217,8 @@ class _Commissioning:
             *_about_plant(tests.plant),
             *known.notes,
             *refusals,
-            *_about_run(verified),
             *dead_time.way_notes(way),
-            *_about_pauses(self._pauses),
-            *_about_chatter(self._plan, chosen.tuned, tests.rest),
+            *_about_the_end(self._plan, chosen.tuned, tests.rest, verified.ended, self._pauses),
         ]
         return Result(
             plan=self._plan,
@@ -567,56 +565,44 @@ class _Commissioning:
             self._seconds[name] = self._seconds.get(name, 0.0) + time.monotonic() - began
 
 
-def _about_plant(fitted: Plant) -> list[str]:
+def _about_plant(fitted: Plant) -> Iterator[str]:
     """Sentences about readings that the model does not describe, and about one that is not linear."""
-    notes = []
     if fitted.error > plant.EXPLAINED:
-        notes.append(
+        yield (
             f"the model misses the readings by {fitted.error:.2g} times what noise and "
             f"{plant.MODEL_ERROR:.0%} of the motion allow: the gains are judged by the running valve, and "
             f"were sought for boxes {DOUBTED[0]:g} or {DOUBTED[-1]:g} times as wide as usual"
         )
     if fitted.magnet is not None:
         m = fitted.magnet
-        notes.append(
+        yield (
             "a valve with solenoids describes the readings better than a linear one with friction: coil "
             f"{1e3 * m.coil:.2g} ms, hysteresis {m.hysteresis:.2g} V, gains of the sides "
             f"{m.positive:.3g} and {m.negative:.3g} times {m.gain:.3g} V/V, overlap {m.overlap:.2g} V"
         )
     elif fitted.presliding > 0.0:
-        notes.append(
+        yield (
             "a linear valve whose friction has bristles describes the readings, and none without them: "
             f"presliding {1e3 * fitted.presliding:.2g} mV; such a spool may swing on its bristles"
         )
-    return notes
 
 
-def _about_pauses(pauses: Mapping[str, int]) -> list[str]:
-    if not pauses:
-        return []
-    counts = ", ".join(f"{name} {count}" for name, count in pauses.items())
-    return [f"readings, controller or host paused ({counts}): the stretches of tests were repeated"]
-
-
-def _about_run(verified: Verification) -> list[str]:
-    """A sentence about parameters from before that misbehaved."""
-    if not verified.ended:
-        return []
-    return [
-        f"with the parameters from before the same motion was ended ({verified.ended}): they are no rival"
-    ]
-
-
-def _about_chatter(plan: Plan, tuned: Tuned, rest: Rest) -> list[str]:
-    """A sentence about a limit of c_u that had to give way."""
-    if tuned.chatter is None or tuned.chatter <= plan.chatter:
-        return []
-    least = min(point.chatter for _, point in tuned.front)
-    return [
-        f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * rest.noise:.2g} mV of noise "
-        f"(least of {tuned.tried} sets: {least:.3g}); those of least error up to {tuned.chatter:.3g} are "
-        "taken; --max-chatter sets a limit that is kept in any case"
-    ]
+def _about_the_end(
+    plan: Plan, tuned: Tuned, rest: Rest, ended: str, pauses: Mapping[str, int]
+) -> Iterator[str]:
+    """Sentences on parameters from before that misbehaved, on pauses, and on a c_u that had to give way."""
+    if ended:
+        yield f"with the parameters from before the same motion was ended ({ended}): they are no rival"
+    if pauses:
+        counts = ", ".join(f"{name} {count}" for name, count in pauses.items())
+        yield f"readings, controller or host paused ({counts}): the stretches of tests were repeated"
+    if tuned.chatter is not None and tuned.chatter > plan.chatter:
+        least = min(point.chatter for point in tuned.front)
+        yield (
+            f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * rest.noise:.2g} mV of "
+            f"noise (least of {tuned.tried} sets: {least:.3g}); those of least error up to "
+            f"{tuned.chatter:.3g} are taken; --max-chatter sets a limit that is kept in any case"
+        )
 
 
 def as_dict(result: Result) -> dict[str, Any]:

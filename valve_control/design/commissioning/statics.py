@@ -55,8 +55,10 @@ def slow(record: Record, rest: Rest) -> Static:
     """Static gain, friction and dead zone from the slow triangle of a ``record``. Raises ParameterError."""
     width = max(1, round(WINDOW / record.period))
     parts = record.parts()
-    reading = np.concatenate([_averaged(_filled(part.reading), width) for part in parts])
-    voltage = np.concatenate([_averaged(part.voltage, width) for part in parts])
+    reading, voltage = (
+        np.concatenate([_averaged(signal, width) for signal in signals])
+        for signals in ([part.reading for part in parts], [part.voltage for part in parts])
+    )
     stroke = float(np.ptp(reading))
     if stroke < LEAST_STROKE:
         raise ParameterError(
@@ -130,15 +132,10 @@ def _turns(voltage: Floats) -> npt.NDArray[np.int64]:
     return np.concatenate([changes, moving[-1:] + 1]).astype(np.int64)
 
 
-def _filled(reading: Floats) -> Floats:
-    known = np.flatnonzero(np.isfinite(reading))
-    filled: Floats = np.interp(np.arange(len(reading)), known, reading[known])
-    return filled
-
-
 def _averaged(signal: Floats, width: int) -> Floats:
-    padded = np.concatenate(
-        [np.full(width // 2, signal[0]), signal, np.full(width - 1 - width // 2, signal[-1])]
-    )
+    """Mean over ``width`` samples of a ``signal``, whose gaps are filled."""
+    known = np.flatnonzero(np.isfinite(signal))
+    filled = np.interp(np.arange(len(signal)), known, signal[known])
+    padded = np.pad(filled, (width // 2, width - 1 - width // 2), mode="edge")
     mean: Floats = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
     return mean

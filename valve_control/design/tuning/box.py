@@ -15,6 +15,7 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models
 from valve_control.control.simulation import robustness
 from valve_control.control.simulation.robustness import Quantity, Settings, Study
+from valve_control.design.tuning.trial import Problem
 from valve_control.parameter import ParameterError, Values, number, updated
 
 SCATTERED = 32  # valves within the box for the margins, besides its corners
@@ -43,10 +44,27 @@ def quantities(fixed: Sequence[str], chosen: Container[str], task: str) -> list[
     return varied
 
 
+def problems(
+    settings: Settings, box: Sequence[Quantity], valves: int, unseen: int, seed: int, **asked: Any
+) -> tuple[Problem, Problem]:
+    """The problem of a search on so many ``valves`` of ``box`` around that of ``settings``; one ``unseen``.
+
+    ``asked``: the other fields of the Problem. Raises ParameterError.
+    """
+    both = []
+    for count, own in ((valves, seed), (unseen, seed + UNSEEN_SEED)):
+        study = study_of(settings, box, count, own)
+        both.append(
+            Problem(
+                values=settings["controller"], plants=drawn(study), box=bounding(study), seed=own, **asked
+            )
+        )
+    return both[0], both[1]
+
+
 def study_of(settings: Settings, box: Sequence[Quantity], valves: int, seed: int) -> Study:
     """The valves of ``box`` around that of ``settings``, at its own sample period."""
-    period = number(settings["controller"], "sample_period")
-    return Study(settings, valves, seed, box, (period,))
+    return Study(settings, valves, seed, box, (number(settings["controller"], "sample_period"),))
 
 
 def drawn(study: Study) -> list[Any]:
@@ -61,18 +79,16 @@ def drawn(study: Study) -> list[Any]:
 def bounding(study: Study) -> list[Any]:
     """Corners of the box, as far as margins depend on it, and SCATTERED within, behind the law's curve.
 
-    Raises ParameterError.
-
-    The corners have the most friction of the box: with less of it swings are smaller.
+    The corners have the most friction of the box: with less of it swings are smaller. Raises ParameterError.
     """
-    middle = np.array([q.high if q.name == FRICTION else 0.5 * (q.low + q.high) for q in study.box])
-    period = study.periods[0]
-    corners = []
-    varied = [i for i, q in enumerate(study.box) if q.name in LINEAR]
-    for ends in itertools.product(*((study.box[i].low, study.box[i].high) for i in varied)):
-        point = middle.copy()
-        point[varied] = ends
-        corners.append(build.valve_params(robustness.valve_of(study, 0, point, period)))
+    ends = (
+        (q.low, q.high) if q.name in LINEAR else (q.high if q.name == FRICTION else 0.5 * (q.low + q.high),)
+        for q in study.box
+    )
+    corners = [
+        build.valve_params(robustness.valve_of(study, 0, np.array(point), study.periods[0]))
+        for point in itertools.product(*ends)
+    ]
     plants = [*corners, *drawn(study._replace(valves=SCATTERED))]
     controller = study.settings["controller"]
     return [seen for plant in plants for seen in stability.behind_curve(controller, plant)]

@@ -12,18 +12,16 @@ Others have more of the integral, or more damping, against friction.
 
 import itertools
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from valve_control.arrays import Floats
 from valve_control.control.laws import reshaping
 from valve_control.control.laws.law import Law
 from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.design.tuning.trial import Problem
-from valve_control.parameter import ParameterError, Values, number, updated
+from valve_control.parameter import ParameterError, Values, updated
 
 SHARES = (0.4, 0.65, 0.95)  # of the highest natural frequency of the reference filter
 SLOW, QUICK = 0.2, 1.0  # of the frequency at which the valve is 90° late: where 1/G is matched
@@ -50,16 +48,7 @@ def starts(law: Law, problem: Problem, box: margins.Box) -> list[Values]:
     ``box``: the valves of the problem on which margins have to hold. Those that ``law`` cannot be built with
     are left out.
     """
-    if law.inverse is not None:
-        return _inverted(law, problem, box)
-    return _shaped(law, problem)
-
-
-def _viscous(box: margins.Box, wanted: Sequence[Floats], period: float) -> float:
-    """Voltage over velocity [s] that is nearest to Coulomb friction, on the motion where it is least."""
-    rates = [np.gradient(motion, period) for motion in wanted]
-    moved = [float(np.mean(np.abs(v)) / np.mean(v * v)) for v in rates if np.any(v)]
-    return float(np.median(box.coulomb)) * min(moved, default=0.0)
+    return _shaped(law, problem) if law.inverse is None else _inverted(law, problem, box)
 
 
 def reciprocal(box: margins.Box, share: float) -> Reciprocal | None:
@@ -85,7 +74,10 @@ def _inverted(law: Law, problem: Problem, box: margins.Box) -> list[Values]:
     slow, shape = reciprocal(box, SLOW), reciprocal(box, QUICK)
     if slow is None or shape is None:
         return []
-    viscous = _viscous(box, [m.wanted for m in problem.motions], number(values, "sample_period"))
+    # Voltage over velocity [s] that is nearest to Coulomb friction, on the motion where it is least.
+    rates = [np.gradient(motion.wanted, problem.period) for motion in problem.motions]
+    moved = [float(np.mean(np.abs(v)) / np.mean(v * v)) for v in rates if np.any(v)]
+    viscous = float(np.median(box.coulomb)) * min(moved, default=0.0)
     made = []
     for cutoff, (stiff, damped, left) in itertools.product(CUTOFFS, SHAPES):
         formed = shape._replace(c0=stiff * shape.c0, c1=shape.c1 + damped * viscous)

@@ -9,8 +9,8 @@ swings. All this shows in a run alone.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -43,30 +43,15 @@ FARTHER = 1.25  # times the reach of the motions, to which the search steps
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
-class _Swing(NamedTuple):
-    """A swing about rest."""
-
-    amplitude: float  # V
-    voltage: float  # V  mean
-    reported: bool  # whether a controller node reports an oscillation of the voltage, and that counts
-
-    def with_another(self, other: "_Swing") -> "_Swing":
-        """The larger one of two, reported if either is."""
-        return max(self, other)._replace(reported=self.reported or other.reported)
-
-
-def steps(period: float, motions: Sequence[TuningMotion] = (), farther: float = 1.0) -> TuningMotion:
-    """Steps of STEPS, and one ``farther`` times as far as the ``motions`` go; each is held for HELD."""
-    n = round(HELD / period)
+def steps(
+    period: float, motions: Sequence[TuningMotion] = (), farther: float = 1.0, held: float = HELD
+) -> TuningMotion:
+    """Steps of STEPS, and one ``farther`` times as far as the ``motions`` go; each is ``held`` [s]."""
+    n = round(held / period)
     reach = farther * max((float(np.max(np.abs(motion.wanted))) for motion in motions), default=0.0)
     heights = (*STEPS, reach) if reach > max(map(abs, STEPS)) else STEPS
-    return TuningMotion(STEPS_NAME, np.concatenate([np.zeros(n // 10), *(np.full(n, h) for h in heights)]))
-
-
-def _held(motion: TuningMotion, more: float, period: float) -> TuningMotion:
-    """``motion`` whose end is held for ``more`` [s]."""
-    end = np.full(round(more / period), motion.wanted[-1])
-    return motion._replace(wanted=np.concatenate([motion.wanted, end]))
+    rest = np.zeros(round(HELD / period) // 10)
+    return TuningMotion(STEPS_NAME, np.concatenate([rest, *(np.full(n, h) for h in heights)]))
 
 
 def stressed(plants: Sequence[Any], limits: TuningLimits) -> list[Any]:
@@ -90,20 +75,10 @@ def restless_shares(
 
     It has HELD for it. The last of the steps goes FARTHER than the motions. What counts: see ``after_all``.
     """
-    hard, tried = stressed(problem.box, problem.limits), _tried(problem, HELD, FARTHER)
+    hard = stressed(problem.box, problem.limits)
+    tried = [steps(problem.period, problem.motions, FARTHER)]
     found = _restless(law, problem, several, hard, tried, HELD, threads)
     return [len(restless) / len(hard) for restless in found]
-
-
-def _tried(problem: Problem, held: float, farther: float = 1.0) -> list[TuningMotion]:
-    """The ``steps``, all in one for HELD; for longer each in a run of its own, after those before it."""
-    period = problem.period
-    together = steps(period, problem.motions, farther)
-    if held == HELD:
-        return [together]
-    n = round(HELD / period)
-    ends = range(n + len(together.wanted) % n, len(together.wanted) + 1, n)
-    return [_held(TuningMotion(STEPS_NAME, together.wanted[:end]), held - HELD, period) for end in ends]
 
 
 def after_all(
@@ -122,7 +97,10 @@ def after_all(
     much, does not, unless ``problem`` is strict and the node would report it. While a command moves, friction
     answers it with harmonics, which are no limit cycle.
     """
-    tried = [*_tried(problem, held), *(_held(motion, held, problem.period) for motion in problem.motions)]
+    period, tried = problem.period, [steps(problem.period, problem.motions, held=held)]
+    for motion in problem.motions:
+        end = np.full(round(held / period), motion.wanted[-1])
+        tried.append(motion._replace(wanted=np.concatenate([motion.wanted, end])))
     return _restless(law, problem, [gains], plants, tried, held, threads)[0]
 
 
@@ -137,13 +115,18 @@ def _restless(
 ) -> list[Valves]:
     """Numbers of the ``plants``, for each of ``several``, on which the loop swings after being ``held`` [s].
 
-    Loops of all of them are simulated together, CHUNK at a time.
+    Loops of all of them are simulated together, CHUNK at a time. Of each loop the largest swing counts.
     """
     if not plants:
         return [np.empty(0, dtype=np.int64) for _ in several]
-    loops, n = trial.Loops(law, problem, several, plants, problem.seed), len(plants)
-    hold, window = round(held / problem.period), round(HELD / problem.period)
-    found: dict[int, _Swing] = {}
+    loops, n, period = trial.Loops(law, problem, several, plants, problem.seed), len(plants), problem.period
+    hold, window, limit = (
+        round(held / period),
+        round(HELD / period),
+        number(problem.values, "oscillation_limit"),
+    )
+    amplitude, voltage = np.full(loops.count, -1.0), np.zeros(loops.count)  # V  -1.0: it rests
+    reported = np.zeros(loops.count, dtype=bool)  # by a controller node, where that counts
     for motion in tried:
         stepping = motion.name == STEPS_NAME  # of which nobody sends the derivatives
         led = loops.commands(motion.wanted, problem._replace(preview=False) if stepping else None)
@@ -153,58 +136,54 @@ def _restless(
             traces = np.empty((some.stop - first, samples, 3))
             loops.run(motion.wanted, led, threads, some, traces)
             for end in range(samples, hold, -hold) if stepping else [samples]:
-                for i, swing in _swings_of(traces[:, end - window : end], problem).items():
-                    found[first + i] = swing.with_another(found.get(first + i, swing))
-    numbers = _by_feedback(problem.values, plants, found, threads)
+                last = traces[:, end - window : end]
+                swinging, noisy = restless(last, period, limit)
+                at = first + np.flatnonzero(swinging)
+                rest = last[swinging, -round(RESTING / period) :]
+                swing = np.nan_to_num(_amplitude(_about_a_line(rest[:, :, 0])), nan=math.inf)
+                larger = swing > amplitude[at]
+                amplitude[at[larger]] = swing[larger]
+                voltage[at[larger]] = np.mean(rest[larger, :, 2], axis=1)
+                reported[at] |= noisy[swinging] & problem.strict
+    own = np.flatnonzero(amplitude >= 0.0)
+    counted = reported[own] | _by_feedback(
+        problem.values,
+        [plants[i] for i in (own % n).tolist()],
+        own % n,
+        voltage[own],
+        amplitude[own],
+        threads,
+    )
+    numbers = own[counted]
     return [numbers[numbers // n == j] % n for j in range(len(several))]
 
 
-def _swings_of(traces: Floats, problem: Problem) -> dict[int, _Swing]:
-    """Swings of the loops that do not rest at the end of their ``traces`` (N×n×3) at one command."""
-    reported = _reported(traces, problem.period, number(problem.values, "oscillation_limit"))
-    numbers = np.flatnonzero(_swings(traces, problem.period) | reported).tolist()
-    return {i: _swing(traces[i], problem.period, problem.strict and bool(reported[i])) for i in numbers}
-
-
-def restless(traces: Floats, period: float, least: float) -> npt.NDArray[np.bool_]:
+def restless(
+    traces: Floats, period: float, least: float
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
     """Which of N loops still swing at the end of ``traces`` (N×n×3) at one command, or are not finite.
 
-    ``least`` [V]: amplitude of the voltage from which on an oscillation of it counts; 0.0: none does.
+    Beside that, of which a controller node would still report an oscillation of the voltage, which are among
+    them. ``least`` [V]: its amplitude from which on it counts; 0.0: none does.
     """
-    return _swings(traces, period) | _reported(traces, period, least)
-
-
-def _swings(traces: Floats, period: float) -> npt.NDArray[np.bool_]:
-    """Which spools swing at the end of ``traces``, or are not finite."""
     finite = np.all(np.isfinite(traces), axis=(1, 2))
     swing = _about_a_line(np.where(finite[:, None], traces[:, -round(RESTING / period) :, 0], 0.0))
     large = np.ptp(swing, axis=1) > 2.0 * REST
     turning = [bool(one) and _turns(row, 0.5 * REST) >= TURNS for one, row in zip(large, swing, strict=True)]
-    return np.asarray(~finite | np.array(turning, dtype=bool))
-
-
-def _reported(traces: Floats, period: float, least: float) -> npt.NDArray[np.bool_]:
-    """Of which ``traces`` a controller node would still report an oscillation at the end."""
-    return np.asarray(ends_at_rest(traces[:, :, 2], period, least) > HELD - RESTING, dtype=bool)
-
-
-def _swing(trace: Floats, period: float, reported: bool) -> _Swing:
-    """Of the end of a ``trace`` (n×3) at one command."""
-    last = trace[-round(RESTING / period) :]
-    amplitude = float(_amplitude(_about_a_line(last[:, 0])))
-    return _Swing(amplitude if math.isfinite(amplitude) else math.inf, float(np.mean(last[:, 2])), reported)
+    reported = np.asarray(ends_at_rest(traces[:, :, 2], period, least) > HELD - RESTING, dtype=bool)
+    return np.asarray(~finite | np.array(turning, dtype=bool) | reported), reported
 
 
 def _amplitude(swing: Floats) -> Floats:
-    """Amplitude of the sine that is as large, root mean square, as a ``swing`` about 0 V (…×n)."""
+    """Amplitude of the sine that is as large, root mean square, as a ``swing`` about 0 V (N×n)."""
     return np.asarray(math.sqrt(2.0) * np.std(swing, axis=-1), dtype=float)
 
 
 def _about_a_line(position: Floats) -> Floats:
     times = np.linspace(-1.0, 1.0, position.shape[-1])
     swing = position - np.mean(position, axis=-1, keepdims=True)
-    made: Floats = swing - (swing @ times / (times @ times))[..., None] * times
-    return made
+    about: Floats = swing - (swing @ times / (times @ times))[..., None] * times
+    return about
 
 
 def _turns(swing: Floats, beyond: float) -> int:
@@ -213,28 +192,21 @@ def _turns(swing: Floats, beyond: float) -> int:
 
 
 def _by_feedback(
-    values: Values, plants: Sequence[Any], found: Mapping[int, _Swing], threads: Threads
-) -> Valves:
-    """Loops of those ``found`` that are not the valve's own swings at a constant voltage."""
-    numbers = sorted(found)
-    bare = LAWS["open_loop"]
+    values: Values, plants: Sequence[Any], seeds: Valves, voltage: Floats, amplitude: Floats, threads: Threads
+) -> npt.NDArray[np.bool_]:
+    """Whether swings [V] of loops on ``plants`` are not the valve's own at the mean ``voltage`` [V]."""
+    bare, period = LAWS["open_loop"], number(values, "sample_period")
     straight = {"open_loop.static_gain": 1.0, "linearisation.enabled": False}
     params = bare.build(updated(CONTROLLER, values, straight))
-    period = number(values, "sample_period")
-    kept: list[int] = []
-    for first in range(0, len(numbers), CHUNK):
-        some = numbers[first : first + CHUNK]
-        voltages = np.nan_to_num([found[i].voltage for i in some], posinf=0.0, neginf=0.0)
-        command = np.repeat(voltages[:, None], round(SETTLED / period), axis=1)
+    counted = np.ones(len(plants), dtype=bool)
+    for first in range(0, len(plants), CHUNK):
+        some = slice(first, first + CHUNK)
+        constant = np.nan_to_num(voltage[some], posinf=0.0, neginf=0.0)
+        command = np.repeat(constant[:, None], round(SETTLED / period), axis=1)
         traces = np.empty((*command.shape, 3))
-        rows = batch.records([plants[i % len(plants)] for i in some])
-        batch.simulate(
-            batch.Batch(bare.name, params, rows, np.array(some) % len(plants), command), threads, traces
-        )
+        rows = batch.records(plants[some])
+        batch.simulate(batch.Batch(bare.name, params, rows, seeds[some], command), threads, traces)
         own = _about_a_line(traces[:, -round(RESTING / period) :, 0])
-        amplitude = _amplitude(own)
-        larger = np.array([found[i].amplitude for i in some]) >= OWN * amplitude
-        rests = np.array([_turns(row, 0.5 * LEAST) < TURNS for row in own]) | ~(amplitude > LEAST)
-        reported = np.array([found[i].reported for i in some])
-        kept += [i for i, counted in zip(some, larger | rests | reported, strict=True) if counted]
-    return np.array(kept, dtype=np.int64)
+        rests = np.array([_turns(row, 0.5 * LEAST) < TURNS for row in own]) | ~(_amplitude(own) > LEAST)
+        counted[some] = rests | (amplitude[some] >= OWN * _amplitude(own))
+    return counted

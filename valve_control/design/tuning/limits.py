@@ -109,59 +109,27 @@ def asked(limits: TuningLimits, chatter: float | None = None) -> dict[str, float
     return wanted if chatter is None else {**wanted, "chatter": chatter}
 
 
-def of_margins(found: Margins) -> dict[str, float]:
-    """The margins of the worst of the valves, by the name of their limit."""
-    worst = {
-        limit.name: (np.max if limit.at_most else np.min, limit.margin) for limit in LIMITS if limit.margin
-    }
-    return {name: float(least(getattr(found, margin))) for name, (least, margin) in worst.items()}
+def of_margins(measured: Margins) -> dict[str, list[float]]:
+    """The margins of each valve, by the name of their limit."""
+    return {limit.name: getattr(measured, limit.margin).tolist() for limit in LIMITS if limit.margin}
+
+
+def worst(values: Mapping[str, Sequence[float]]) -> dict[str, float]:
+    """The worst of the ``values`` for each limit."""
+    return {name: float((np.max if BY_NAME[name].at_most else np.min)(v)) for name, v in values.items()}
 
 
 def margins_missed(limits: TuningLimits, found: Margins) -> list[str]:
     """A sentence about each of the ``limits`` that the margins of the worst valve miss."""
     wanted = asked(limits)
-    rows = [(BY_NAME[name], value, wanted[name]) for name, value in of_margins(found).items()]
+    rows = [(BY_NAME[name], value, wanted[name]) for name, value in worst(of_margins(found)).items()]
     reasons = [limit.sentence(value, most) for limit, value, most in rows if limit.missed(value, most)]
     pole, value, most = rows[0]
     return reasons[:1] if pole.missed(value, most) else reasons
 
 
-class Count(NamedTuple):
-    """How often a limit was looked at and missed, and the best value."""
-
-    seen: int
-    missed: int
-    best: float
-
-
-Counts = dict[str, Count]
-
-
-def count(counts: Counts, wanted: Mapping[str, float], values: Mapping[str, float]) -> None:
-    """Add the ``values`` of one set of gains, or of one valve, to ``counts``."""
-    for limit in LIMITS:
-        value = values.get(limit.name)
-        if value is None:
-            continue
-        missed = limit.missed(value, wanted[limit.name])
-        before = counts.get(limit.name, Count(0, 0, value))
-        best = min(before.best, value) if limit.at_most else max(before.best, value)
-        counts[limit.name] = Count(before.seen + 1, before.missed + bool(missed or math.isnan(value)), best)
-
-
-def together(several: Sequence[Counts]) -> Counts:
-    """The sum of ``several``."""
-    made: Counts = {}
-    for limit in LIMITS:
-        there = [counts[limit.name] for counts in several if limit.name in counts]
-        if there:
-            best = (min if limit.at_most else max)(one.best for one in there)
-            made[limit.name] = Count(sum(c.seen for c in there), sum(c.missed for c in there), best)
-    return made
-
-
-def as_rows(counts: Counts, wanted: Mapping[str, float]) -> list[dict[str, Any]]:
-    """For JSON: one row for each limit that was looked at; without end: None."""
+def as_rows(values: Mapping[str, Sequence[float]], wanted: Mapping[str, float]) -> list[dict[str, Any]]:
+    """For JSON: one row for each limit with ``values``, of sets of gains or valves; without end: None."""
 
     def finite(value: float) -> float | None:
         return value if math.isfinite(value) else None
@@ -171,12 +139,12 @@ def as_rows(counts: Counts, wanted: Mapping[str, float]) -> list[dict[str, Any]]
             "limit": limit.name,
             "rank": limit.rank,
             "wanted": finite(wanted[limit.name]),
-            "looked_at": counts[limit.name].seen,
-            "missed": counts[limit.name].missed,
-            "best": finite(counts[limit.name].best),
+            "looked_at": len(measured),
+            "missed": sum(math.isnan(v) or limit.missed(v, wanted[limit.name]) for v in measured),
+            "best": finite((min if limit.at_most else max)(measured)),
         }
         for limit in LIMITS
-        if limit.name in counts
+        if (measured := values.get(limit.name))
     ]
 
 

@@ -23,24 +23,16 @@ from valve_control.control.analysis import steps
 from valve_control.control.laws.law import Law
 from valve_control.control.plant import registry
 from valve_control.design.tuning import trial
-from valve_control.design.tuning.trial import GainSet, Problem, Threads, TuningMotion
+from valve_control.design.tuning.trial import GainSet, Problem, Threads
 
 HEIGHTS = (-0.4, 0.0, 0.4, 0.0, 1.0, 0.4)  # of the reach of the motions
 HELD, SHORT = 1.0, 0.25  # s  that each is held, in verification and in a search
 LEARNT = 1.0  # s  of the motion before
 
 
-def answers(law: Law, problem: Problem, gains: GainSet, threads: Threads = None) -> Floats:
-    """Overshoot [-] and settling time [s] (2×S×N) of N valves in S steps, with ``gains``.
-
-    Infinite where a run does not stay finite, or does not settle within HELD.
-    """
-    return _answers(law, problem, [gains], threads, HELD)[0]
-
-
 def medians(law: Law, problem: Problem, several: Sequence[GainSet], threads: Threads = None) -> list[float]:
     """Overshoot [-] with each of ``several`` in steps that are held for SHORT: ``typical``."""
-    return [typical(rows[0]) for rows in _answers(law, problem, several, threads, SHORT)]
+    return [typical(rows[0]) for rows in answers(law, problem, several, threads, SHORT)]
 
 
 def typical(rows: Floats) -> float:
@@ -48,28 +40,23 @@ def typical(rows: Floats) -> float:
     return float(np.max(np.median(rows, axis=1)))
 
 
-def tried(period: float, motions: Sequence[TuningMotion], held: float = HELD) -> tuple[Floats, int]:
-    """Commands [V], one entry a sample ``period`` [s], and the number of the first that is judged.
-
-    The steps reach as far as the ``motions``. Before them are the beginning of the one that goes farthest,
-    and the same steps.
-    """
-    n = round(held / period)
-    farthest = max(motions, key=lambda motion: float(np.max(np.abs(motion.wanted)))).wanted
-    begins = int(np.argmax(farthest != farthest[0]))
-    learnt = farthest[begins : begins + round(LEARNT / period)]
-    reach = float(np.max(np.abs(farthest)))
-    short = round(SHORT / period)
-    parts = [np.zeros(short), learnt, np.zeros(short)]
-    parts += [np.full(short, height * reach) for height in (*HEIGHTS, 0.0)]
-    first = sum(map(len, parts))
-    return np.concatenate([*parts, *(np.full(n, height * reach) for height in HEIGHTS)]), first
-
-
-def _answers(
-    law: Law, problem: Problem, several: Sequence[GainSet], threads: Threads, held: float
+def answers(
+    law: Law, problem: Problem, several: Sequence[GainSet], threads: Threads = None, held: float = HELD
 ) -> list[Floats]:
-    motion, first = tried(problem.period, problem.motions, held)
+    """Overshoot [-] and settling time [s] (2×S×N) of N valves in S steps, with each of ``several`` gains.
+
+    Infinite where a run does not stay finite, or does not settle while a step is ``held`` [s]. The steps
+    reach as far as the motions. Before them are the beginning of the one that goes farthest, and the same
+    steps, which are not judged.
+    """
+    period, n, short = problem.period, round(held / problem.period), round(SHORT / problem.period)
+    farthest = max(problem.motions, key=lambda motion: float(np.max(np.abs(motion.wanted)))).wanted
+    begins = int(np.argmax(farthest != farthest[0]))
+    heights = float(np.max(np.abs(farthest))) * np.array(HEIGHTS)
+    before = [np.zeros(short), farthest[begins : begins + round(LEARNT / period)], np.zeros(short)]
+    before += [np.full(short, height) for height in (*heights, 0.0)]
+    motion = np.concatenate([*before, *(np.full(n, height) for height in heights)])
+    first = sum(map(len, before))
     quiet = [registry.plant_of(p).quiet(p) for p in problem.plants]
     loops = trial.Loops(law, problem, several, quiet, 0)
     led = loops.commands(motion, problem._replace(preview=False, delivery=None))

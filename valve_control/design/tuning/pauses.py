@@ -20,7 +20,7 @@ from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.laws.law import Law
 from valve_control.design.tuning import trial
 from valve_control.design.tuning.trial import GainSet, Problem, Threads
-from valve_control.parameter import Values, number
+from valve_control.parameter import number
 
 EVERY = 0.41  # s  from one pause to the next
 OFFSETS = 8  # places of the first one
@@ -50,7 +50,8 @@ def _shortest(law: Law, problem: Problem, gains: GainSet) -> float:
     if problem.preview or not law.reshapes(params):
         return math.inf
     period, limit = number(values, "sample_period"), number(values, "command_limit")
-    lead = command_lead.build(values, True) or _none(values)
+    none = command_lead.Params(0.0, 0.0, 0.0, 0.0, 0.0, limit, period)
+    lead = command_lead.build(values, True) or none
     fill = compile_function(_fill, nogil=True)
     every, seen = round(EVERY / period), round(SEEN / period)
 
@@ -75,12 +76,6 @@ def _shortest(law: Law, problem: Problem, gains: GainSet) -> float:
             if np.max(away, initial=0.0) > allowed:
                 return math.nextafter(min(pause * period, most), 0.0)
     return math.inf
-
-
-def _none(values: Values) -> command_lead.Params:
-    """A lead of 0 s."""
-    limit, period = number(values, "command_limit"), number(values, "sample_period")
-    return command_lead.Params(0.0, 0.0, 0.0, 0.0, 0.0, limit, period)
 
 
 def _fill(

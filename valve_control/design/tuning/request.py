@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Takes a request to tune laws, makes the problems of search and verification of it, and carries it out."""
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Sequence
 from typing import Any, NamedTuple
 
 from valve_control.arrays import Floats
@@ -14,11 +14,10 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models, registry
 from valve_control.control.simulation import offline
-from valve_control.control.simulation.delivery import Delivery
 from valve_control.control.simulation.robustness import Quantity, Settings
 from valve_control.design.tuning import box, tuner
-from valve_control.design.tuning.trial import Problem, TuningLimits, TuningMotion
-from valve_control.design.tuning.tuner import Aim, Tuned
+from valve_control.design.tuning.trial import Problem, TuningMotion
+from valve_control.design.tuning.tuner import Tuned
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
 
 SHORTEST = 1.0  # s  of a motion
@@ -28,45 +27,13 @@ STRAIGHT = (
 )
 
 
-class Request(NamedTuple):
-    """What is tuned on what, and how long."""
+class Task(NamedTuple):
+    """Laws to tune, the problems of their search and verification, and sentences about what was chosen."""
 
     laws: Sequence[Law]
-    settings: Settings  # parameters by node
-    chosen: Container[str]  # names of the controller's parameters that somebody has chosen
-    motions: Sequence[TuningMotion]
-    box: Sequence[Quantity]  # that vary from valve to valve
-    limits: TuningLimits
-    chatter: float | None  # limit that is asked for
-    preview: bool  # whether the motions are known ahead
-    delivery: Delivery | None  # of commands that are not
-    recorded: bool  # whether the settings are those of a recording, with the model that each law had
-    valves: int
-    unseen: int
-    budget: int  # sets of gains of each law in each of its variants
-    seed: int
-
-
-class Task(NamedTuple):
-    """The problems of a request, and sentences about what was chosen for them."""
-
-    request: Request
     seen: Problem  # by the search
     unseen: Problem  # other valves, for verification
     notes: list[str]
-
-    @property
-    def budgets(self) -> list[int]:
-        """Sets of gains that each law has."""
-        variants = [tuner.variants(law, self.seen.values) for law in self.request.laws]
-        return [self.request.budget * len(several) for several in variants]
-
-
-class Outcome(NamedTuple):
-    """Results by law, and for the other laws a sentence."""
-
-    tuned: dict[str, Tuned]
-    missing: dict[str, str]
 
 
 def laws_of(names: str) -> list[Law]:
@@ -111,86 +78,96 @@ def motion_of(name: str, wanted: Floats, settings: Settings) -> TuningMotion:
     return TuningMotion(name, wanted)
 
 
-def task_of(request: Request) -> Task:
-    """The problems of a ``request``. Raises ParameterError."""
-    plant = request.settings["valve_simulator"]
-    offline.check_agreement(request.settings["controller"], plant)
-    if not request.box:
+def task_of(
+    laws: Sequence[Law],
+    settings: Settings,
+    chosen: Container[str],
+    quantities: Sequence[Quantity],
+    valves: int,
+    unseen: int,
+    seed: int,
+    recorded: bool,
+    **asked: Any,
+) -> Task:
+    """The task of tuning ``laws`` on so many ``valves``, verified on as many ``unseen`` ones.
+
+    ``chosen``: names of the controller's parameters that somebody has chosen. ``quantities`` vary from valve
+    to valve. ``recorded``: the ``settings`` are those of a recording, with the model that each law had.
+    ``asked``: other fields of the Problem. Raises ParameterError.
+    """
+    plant = settings["valve_simulator"]
+    offline.check_agreement(settings["controller"], plant)
+    if not quantities:
         raise ParameterError("every quantity of the box is fixed; there is no spread to tune for")
-    values, notes = _controller(request)
-    settings = {**request.settings, "controller": values}
-    other_seed = request.seed + box.UNSEEN_SEED
-    study = box.study_of(settings, request.box, request.valves, request.seed)
-    other = box.study_of(settings, request.box, request.unseen, other_seed)
-    seen = Problem(
-        values=values,
-        motions=request.motions,
-        plants=box.drawn(study),
-        box=box.bounding(study),
-        limits=request.limits,
-        preview=request.preview,
-        seed=request.seed,
-        scale=models.scale_of(build.valve_model(plant)),
-        delivery=request.delivery,
+    values, notes = _controller(laws, settings, chosen, quantities, recorded)
+    scale = models.scale_of(build.valve_model(plant))
+    problems = box.problems(
+        {**settings, "controller": values}, quantities, valves, unseen, seed, scale=scale, **asked
     )
-    unseen = seen._replace(plants=box.drawn(other), box=box.bounding(other), seed=other_seed)
-    return Task(request, seen, unseen, notes)
+    return Task(laws, *problems, notes)
 
 
-def _controller(request: Request) -> tuple[Values, list[str]]:
+def _controller(
+    laws: Sequence[Law],
+    settings: Settings,
+    chosen: Container[str],
+    quantities: Sequence[Quantity],
+    recorded: bool,
+) -> tuple[Values, list[str]]:
     """The controller's values before the search: what the valve says of them, unless it was chosen."""
-    plant, values, notes = request.settings["valve_simulator"], request.settings["controller"], list[str]()
+    plant, values, notes = settings["valve_simulator"], settings["controller"], list[str]()
     if registry.chosen(plant).name == "linear" and linearisation.is_on(values):
         values = {**values, "linearisation.enabled": False}
         notes.append(STRAIGHT)
-    for law in request.laws:
-        settings = {**request.settings, "controller": values}
-        if not request.recorded:
-            values, note = box.with_model(law, settings, request.chosen)
+    for law in laws:
+        if not recorded:
+            values, note = box.with_model(law, {**settings, "controller": values}, chosen)
             notes += [note] if note else []
-            settings = {**settings, "controller": values}
-        values, expected = box.with_dead_time(law, settings, request.box)
+        values, expected = box.with_dead_time(law, {**settings, "controller": values}, quantities)
         if expected is not None:
             notes.append(
                 f"{law.dead_time} {expected:g} s, the expected lvdt.delay; --set {law.dead_time}=… says "
                 "otherwise"
             )
-    if "reshaping.form" not in request.chosen:  # a reference that brakes in time
+    if "reshaping.form" not in chosen:  # a reference that brakes in time
         values = updated(CONTROLLER, values, {"reshaping.form": "braking"})
     limits = reshaping.limits(build.valve_model(plant), number(values, "u_max"))
     usual = defaults(reshaping.PARAMETERS)
-    if limits and not any(name in request.chosen or values[name] != usual[name] for name in limits):
+    if limits and not any(name in chosen or values[name] != usual[name] for name in limits):
         text = " and ".join(f"{name} {value}" for name, value in limits.items())
         notes.append(f"{text}, (6) and (7) of this valve; --set says otherwise")
         values = updated(CONTROLLER, values, limits)
     return values, notes
 
 
-def search(task: Task, threads: int, told: Callable[[int, str], None]) -> Outcome:
-    """Tune all laws of a ``task``. ``told`` gets the sets of gains tried so far, and the law.
+def budgets(task: Task, budget: int) -> list[int]:
+    """Sets of gains of each law, with ``budget`` for each of its variants."""
+    return [budget * len(tuner.variants(law, task.seen.values)) for law in task.laws]
 
+
+def search(
+    task: Task, chatter: float | None, budget: int, threads: int, progress: Callable[[int, str], None]
+) -> tuple[dict[str, Tuned], dict[str, str]]:
+    """Results of all laws of a ``task`` by their names, and for each law without gains a sentence.
+
+    ``chatter``: the limit that is asked for. ``progress`` gets the sets of gains tried so far, and the law.
     Raises ParameterError if the only law has no gains that can be used.
     """
-    request, outcome, before = task.request, Outcome({}, {}), 0
-    for law, budget in zip(request.laws, task.budgets, strict=True):
+    tuned: dict[str, Tuned] = {}
+    missing: dict[str, str] = {}
+    before, seed = 0, task.seen.seed
+    for law, whole in zip(task.laws, budgets(task, budget), strict=True):
 
-        def told_of(done: int, law: Law = law, before: int = before) -> None:
-            told(before + done, law.name)
+        def done(sets: int, law: Law = law, before: int = before) -> None:
+            progress(before + sets, law.name)
 
-        aim = Aim(request.chatter, firm=False)
         try:
-            outcome.tuned[law.name] = tuner.tuned(
-                law, task.seen, task.unseen, aim, request.budget, request.seed, told_of, threads
+            tuned[law.name] = tuner.tuned(
+                law, task.seen, task.unseen, chatter, budget, seed, done, threads, firm=False
             )
         except ParameterError as error:
-            if len(request.laws) == 1:
+            if len(task.laws) == 1:
                 raise
-            outcome.missing[law.name] = str(error)
-        before += budget
-    return outcome
-
-
-def as_dict(outcome: Outcome, files: Mapping[str, str]) -> dict[str, Any]:
-    """For JSON, with the written parameter ``files`` by law."""
-    laws = {name: {**tuner.as_dict(one), "file": files.get(name)} for name, one in outcome.tuned.items()}
-    return {"laws": laws, **({"missing": outcome.missing} if outcome.missing else {})}
+            missing[law.name] = str(error)
+        before += whole
+    return tuned, missing

@@ -26,6 +26,7 @@ that falls counts its reason. A search is repeatable by its seed, whatever the n
 
 import math
 import warnings
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -34,17 +35,16 @@ import scipy.stats
 
 from valve_control.arrays import Floats
 from valve_control.control.compiling import CompileError
-from valve_control.control.laws.free import Free, present
+from valve_control.control.laws.free import present
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.reshaping import LEAD_ACCEL
 from valve_control.control.linear import margins
 from valve_control.design import evolution
 from valve_control.design.tuning import designs, limits, trial
-from valve_control.design.tuning.trial import AHEAD, GainSet, Problem, Threads, TrialResult
+from valve_control.design.tuning.trial import AHEAD, GainSet, Problem, Threads
 from valve_control.parameter import ParameterError, Values
 
 Told = Callable[[int], None]  # sets of gains tried so far
-Judge = Callable[[Sequence[Floats], float, float], "Judged"]  # under a limit of the chatter, with a wall
 POPULATION, LONE_POPULATION = 12, 20  # the other one of a single run that has the time to use it
 SCATTERED = 120  # sets of gains all over the ranges at the beginning, at most
 STARTS = 4  # places at which a search begins, at most
@@ -97,20 +97,13 @@ class Phase(NamedTuple):
     share: float  # of the budget
 
 
-class Judged(NamedTuple):
-    """What sets of gains cost."""
-
-    costs: list[float]
-    keep: list[bool]  # whether each keeps the margins
-
-
 class SearchResult(NamedTuple):
     """Result of a search."""
 
     points: list[EvaluatedGains]  # all that keep the margins and stayed finite
     tried: int
     missed: int  # of them, the margins or rest
-    counts: limits.Counts  # of the limits
+    values: Mapping[str, list[float]]  # that were measured, by the name of their limit
     nearest: EvaluatedGains | None  # to a result, if there is none
 
 
@@ -140,81 +133,96 @@ def overshoot_cost(overshot: float | None, most: float) -> float:
     return math.log(WORTH) * beyond / (beyond + HALF)
 
 
-class _Trials:
-    """Sets of gains that were tried, and what came of them."""
+class _Search:
+    """A search: sets of gains that were tried, and runs of CMA-ES that share a budget."""
 
     def __init__(
-        self,
-        law: Law,
-        problem: Problem,
-        free: Sequence[Free],
-        threads: Threads,
-        chatter: float | None = None,
+        self, law: Law, problem: Problem, budget: int, seed: int, progress: Told, threads: Threads
     ) -> None:
         self.points: list[EvaluatedGains] = []
         self.tried = self.missed = 0
-        self._law, self._problem, self._free, self._threads = law, problem, free, threads
+        self.values: defaultdict[str, list[float]] = defaultdict(list)  # measured, by the name of the limit
+        self.nearest: tuple[float, EvaluatedGains] | None = None  # to a result, and how far it is off
         self.box = margins.prepared(problem.box)
+        self.free = trial.free_numbers(law, problem.values, problem.preview, problem.scale)
+        self.held = self.free.index(LEAD_ACCEL) if LEAD_ACCEL in self.free else None
+        self.budget, self._seed, self._progress = budget, seed, progress
+        self._law, self._problem, self._threads = law, problem, threads
+        self._most = problem.limits.overshoot
         self._rested: dict[tuple[float, ...], float] = {}  # share of the valves on which a set does not rest
+        self._overshot: dict[tuple[float, ...], float] = {}
         self._alert_until = 0  # number of the set of gains up to which those near the best are asked too
         self._least: dict[float, tuple[int, float]] = {}  # by limit: points looked at, and their least cost
-        self._most = problem.limits.overshoot
-        self._overshot: dict[tuple[float, ...], float] = {}
-        self.counts: limits.Counts = {}
-        self._wanted = limits.asked(problem.limits, chatter)
-        self.nearest: tuple[float, EvaluatedGains] | None = None  # to a result, and how far it is off
 
-    def judged(self, several: Sequence[Floats], chatter: float, wall: float = WALL) -> Judged:
-        """Costs of sets of gains under a limit of the chatter; ``wall`` is the cost of missing a margin."""
+    def judged(
+        self, several: Sequence[Floats], chatter: float, wall: float = WALL
+    ) -> tuple[list[float], list[bool]]:
+        """Costs of sets of gains under a limit of the chatter, and whether each keeps the margins.
+
+        ``wall`` is the cost of missing a margin.
+        """
         costs = np.full(len(several), NOT_RUN)
-        inside = [tuple(float(v) for v in np.clip(shares, 0.0, 1.0)) for shares in several]
-        gains = [trial.gains_at(self._free, self._problem.values, shares) for shares in inside]
-        violations = [self._violation(g) for g in gains]
-        kept: list[int] = []  # that are simulated
-        for i, missing in enumerate(violations):
-            if missing is None:
-                continue
-            self.missed += missing > 0.0
-            if missing > FAR:
-                costs[i] = MISSED + missing
-                untried = EvaluatedGains(inside[i], gains[i], math.inf, math.inf, math.inf)
-                self._near(MISSED + missing, untried)
-            else:
-                kept.append(i)
         points: dict[int, EvaluatedGains] = {}
-        if kept:
-            outcomes = trial.run(self._law, self._problem, [gains[i] for i in kept], self._threads)
-            for i, outcome in zip(kept, outcomes, strict=True):
-                point = _point(inside[i], gains[i], outcome)
-                missing = violations[i] or 0.0
-                costs[i] = self._cost(point, chatter) + wall * missing
-                points[i] = point
-                self._count({"saturation": point.saturated, "chatter": point.chatter})
-                if missing > 0.0 or not math.isfinite(point.error):
-                    self._near(MISSED + missing, point)
-        least = self._least_cost(chatter)
-        most = least + (CLOSE if self.tried < self._alert_until else 0.0)
+        missing: dict[int, float] = {}  # of the margins
+        for i, shares in enumerate(several):
+            inside = tuple(np.clip(shares, 0.0, 1.0).tolist())
+            gains = trial.gains_at(self.free, self._problem.values, inside)
+            if (away := self._violation(gains)) is None:
+                continue
+            missing[i], points[i] = away, EvaluatedGains(inside, gains, math.inf, math.inf, math.inf)
+            self.missed += away > 0.0
+            if away > FAR:
+                costs[i] = MISSED + away
+                self._near(costs[i], points.pop(i))
+        gains_of = [point.gains for point in points.values()]
+        outcomes = trial.run(self._law, self._problem, gains_of, self._threads) if points else []
+        for i, outcome in zip(points, outcomes, strict=True):
+            points[i] = point = points[i]._replace(
+                error=outcome.error,
+                chatter=outcome.chatter if math.isfinite(outcome.chatter) else math.inf,
+                saturated=float(np.mean(outcome.saturated)),
+            )
+            costs[i] = self._cost(point, chatter) + wall * missing[i]
+            self.values["saturation"].append(point.saturated)
+            self.values["chatter"].append(point.chatter)
+            if missing[i] > 0.0 or not math.isfinite(point.error):
+                self._near(MISSED + missing[i], point)
+        most = self._least_cost(chatter) + (CLOSE if self.tried < self._alert_until else 0.0)
+
+        def able() -> list[int]:
+            return [i for i in points if costs[i] < NOT_RUN and costs[i] <= most]
+
         if math.isfinite(self._most):
-            able = [i for i in points if costs[i] < NOT_RUN and costs[i] <= most]
-            for i, point in zip(able, self._measured([points[i] for i in able]), strict=True):
+            for i, point in zip(able(), self._measured([points[i] for i in able()]), strict=True):
                 points[i] = point
                 costs[i] += overshoot_cost(point.overshoot, self._most)
-        points = {i: point for i, point in points.items() if violations[i] == 0.0}
-        asked = [i for i in points if costs[i] < NOT_RUN and costs[i] <= most]
-        for i, share in zip(asked, self._restless([points[i] for i in asked]), strict=True):
+        points = {i: point for i, point in points.items() if missing[i] == 0.0}
+        for i, share in zip(able(), self._restless([points[i] for i in able()]), strict=True):
             if share > 0.0:
                 self._alert_until = self.tried + len(several) + ALERT
-                self._near(share + 0.01 * costs[i], points[i])
+                self._near(share + 0.01 * costs[i], points.pop(i))
                 costs[i] = RESTLESS + share
-                del points[i]
         self.points += [point for point in points.values() if math.isfinite(point.error)]
         self.tried += len(several)
+        self._progress(min(self.tried, self.budget))
         outside = [float(np.sum((s - np.clip(s, 0.0, 1.0)) ** 2)) for s in several]
-        return Judged(
-            [float(c) + o for c, o in zip(costs, outside, strict=True)], [v == 0.0 for v in violations]
-        )
+        keep = [missing.get(i) == 0.0 for i in range(len(several))]
+        return [float(c) + o for c, o in zip(costs, outside, strict=True)], keep
 
-    def best(self, chatter: float) -> EvaluatedGains | None:
+    def _violation(self, gains: GainSet) -> float | None:
+        """By how much ``gains`` miss the margins; None: they are none."""
+        try:
+            params = trial.built(self._law, trial.values_with(self._problem, gains))
+            measured = margins.margins(self._law, params, self.box)
+        except CompileError:
+            raise
+        except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+        for name, value in limits.worst(limits.of_margins(measured)).items():
+            self.values[name].append(value)
+        return trial.violation(self._problem.limits, measured, 1.0 / BACK_OFF)
+
+    def _best(self, chatter: float) -> EvaluatedGains | None:
         """The point of least cost under a limit of the chatter. None if there is none."""
         known = [p for p in self.points if p.overshoot is not None or math.isinf(self._most)]
         return min(known or self.points, key=lambda p: self._cost(p, chatter), default=None)
@@ -222,7 +230,8 @@ class _Trials:
     def front_at_rest(self) -> None:
         """Drop the points of the front on which a loop does not come to rest, until there are none.
 
-        The front is of those within the limit of the overshoot. Where there is none, it is the best point.
+        The front is of those within the limit of the overshoot. Where there is none, it is the point of least
+        error and overshoot, if one is measured.
         """
         layers = 0
         while True:
@@ -230,16 +239,19 @@ class _Trials:
             unknown = [p for p in self.points if p.overshoot is None and not p.within(self._most)]
             able = front([*within, *(unknown if layers < LAYERS else [])])
             most = self._most if able else math.inf
-            able = able or self._nearest_wish()
+            if not able:
+                known = [p for p in self.points if p.overshoot is not None]
+                able = sorted(
+                    known, key=lambda p: math.log(p.error) + overshoot_cost(p.overshoot, self._most)
+                )[:1]
             untried = [p for p in able if p.shares not in self._rested]
             if not untried:
                 return
             layers += 1
             if math.isfinite(self._most):
-                known = {p.shares: p for p in self._measured(untried)}
-                self.points = [known.get(p.shares, p) for p in self.points]
-                self._least.clear()
-                untried = [p for p in known.values() if p.within(most)]
+                measured = {p.shares: p for p in self._measured(untried)}
+                self.points = [measured.get(p.shares, p) for p in self.points]
+                untried = [p for p in measured.values() if p.within(most)]
             restless = set()
             for point, share in zip(untried, self._restless(untried), strict=True):
                 if share > 0.0:
@@ -248,13 +260,6 @@ class _Trials:
             self.points = [point for point in self.points if point.shares not in restless]
             self._least.clear()
 
-    def _nearest_wish(self) -> list[EvaluatedGains]:
-        """The point of least error and overshoot, if one is measured."""
-        known = [p for p in self.points if p.overshoot is not None]
-        if not known:
-            return []
-        return [min(known, key=lambda p: math.log(p.error) + overshoot_cost(p.overshoot, self._most))]
-
     def _measured(self, points: Sequence[EvaluatedGains]) -> list[EvaluatedGains]:
         """``points`` with their overshoot."""
         new = [p for p in points if p.shares not in self._overshot]
@@ -262,18 +267,28 @@ class _Trials:
             self._overshot[point.shares] = overshot
         return [p._replace(overshoot=self._overshot[p.shares]) for p in points]
 
+    def _restless(self, points: Sequence[EvaluatedGains]) -> list[float]:
+        """Share of the harder valves on which the loops of ``points`` do not come to rest.
+
+        1.0 where the reference does not come back after a pause of the command.
+        """
+        for name in ("pause", "not at rest"):
+            new = [p for p in points if p.shares not in self._rested]
+            for point, value in zip(new, self._values(name, new), strict=True):
+                share = value if name == "not at rest" else float(math.isfinite(value))
+                self.missed += share > 0.0
+                if share > 0.0 or name == "not at rest":
+                    self._rested[point.shares] = share
+        return [self._rested[point.shares] for point in points]
+
     def _values(self, name: str, points: Sequence[EvaluatedGains]) -> list[float]:
         """Measured and counted values of ``points`` for the limit of this ``name``."""
         measure = limits.BY_NAME[name].measure
         assert measure is not None
         gains = [point.gains for point in points]
-        found = measure(self._law, self._problem, gains, self._threads) if gains else []
-        for value in found:
-            self._count({name: value})
-        return found
-
-    def _count(self, values: Mapping[str, float]) -> None:
-        limits.count(self.counts, self._wanted, values)
+        values = measure(self._law, self._problem, gains, self._threads) if gains else []
+        self.values[name] += values
+        return values
 
     def _near(self, away: float, point: EvaluatedGains) -> None:
         """Keep the ``point``, ``away`` from a result, if none is nearer."""
@@ -293,89 +308,92 @@ class _Trials:
         own = cost(point, chatter, self._problem.limits.saturated)
         return own + overshoot_cost(point.overshoot, self._most)
 
-    def _restless(self, points: Sequence[EvaluatedGains]) -> list[float]:
-        """Share of the harder valves on which the loops of ``points`` do not come to rest.
+    def go(self, plan: Sequence[Phase], scattered: Sequence[Floats], costs: Sequence[float]) -> None:
+        """Search for all phases of the ``plan``, from the sets ``scattered`` on, of these ``costs``."""
+        winner = self._first_run(plan[0].chatter, scattered, costs)
+        winner.go(plan[0].chatter, plan[0].share * self.budget)
+        until = 0.0
+        for number, phase in enumerate(plan, 1):
+            until += phase.share * self.budget
+            end, restart = min(self.budget, round(until)), 0
+            while self.tried < end:
+                self.front_at_rest()
+                best = self._best(phase.chatter)
+                place = winner.best if best is None else np.array(best.shares)
+                again = _Run(self, place, LATER_STEP, self._seed + 100 * number + restart)
+                again.go(phase.chatter, end)
+                if again.least < winner.least:
+                    winner = again
+                restart += 1
 
-        1.0 where the reference does not come back after a pause of the command.
-        """
-        new = [p for p in points if p.shares not in self._rested]
-        for point, pause in zip(new, self._values("pause", new), strict=True):
-            if math.isfinite(pause):
-                self._rested[point.shares] = 1.0
-                self.missed += 1
-        new = [p for p in new if p.shares not in self._rested]
-        for point, share in zip(new, self._values("not at rest", new), strict=True):
-            self._rested[point.shares] = share
-            self.missed += share > 0.0
-        return [self._rested[point.shares] for point in points]
-
-    def _violation(self, gains: GainSet) -> float | None:
-        """By how much ``gains`` miss the margins; None: they are none."""
-        try:
-            params = trial.built(self._law, trial.values_with(self._problem, gains))
-            found = margins.margins(self._law, params, self.box)
-        except CompileError:
-            raise
-        except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
-            return None
-        self._count(limits.of_margins(found))
-        return trial.violation(self._problem.limits, found, 1.0 / BACK_OFF)
-
-    def result(self) -> SearchResult:
-        """What came of them. Without a result the nearest set is tried, however far it misses margins."""
-        self.front_at_rest()
-        nearest = None if self.points or self.nearest is None else self.nearest[1]
-        return SearchResult(self.points, self.tried, self.missed, self.counts, nearest)
+    def _first_run(self, chatter: float, scattered: Sequence[Floats], costs: Sequence[float]) -> "_Run":
+        """The main run, from the best of a few places if the budget is large enough for these."""
+        moved = len(self.free) - (self.held is not None)
+        fitting = self.budget // max(EACH, EACH_COVARIANCE * moved * moved)
+        places: list[Floats] = []  # the best first
+        for i in np.argsort(costs):
+            if all(math.sqrt(np.mean((scattered[i] - other) ** 2)) > APART for other in places):
+                places.append(scattered[i])
+            if len(places) == STARTS:
+                break
+        if fitting < STARTS:
+            step, population = (LONE_STEP, LONE_POPULATION) if fitting else (FIRST_STEPS[0], POPULATION)
+            return _Run(self, scattered[int(np.argmin(costs))], step, self._seed + 1, population)
+        runs = [
+            _Run(self, start, FIRST_STEPS[i % len(FIRST_STEPS)], self._seed + i + 1)
+            for i, start in enumerate(places)
+        ]
+        for share in ROUNDS:
+            if len(runs) == 1:
+                break
+            for run in runs:
+                run.go(chatter, self.tried + share * self.budget)
+            runs = sorted(runs, key=lambda run: run.least)[: len(runs) // 2]
+        return _Run(self, runs[0].best, LAST_STEP, self._seed + STARTS + 1, LAST_POPULATION)
 
 
 class _Run:
-    """One run of CMA-ES. It does not move the gain at the index ``held``, but tries LEVELS of it at times."""
+    """One run of CMA-ES. It does not move the gain that is held, but tries LEVELS of it at times."""
 
     def __init__(
-        self, start: Floats, held: int | None, step: float, seed: int, population: int = POPULATION
+        self, search: _Search, start: Floats, step: float, seed: int, population: int = POPULATION
     ) -> None:
-        moved = start if held is None else np.delete(start, held)
+        self._search, self._held = search, search.held
+        moved = start if self._held is None else np.delete(start, self._held)
         self._strategy = evolution.strategy(moved, step, seed, population)
         self.best, self.least = start, math.inf
-        self._held, self._level = held, 0.0 if held is None else float(start[held])
+        self._level = 0.0 if self._held is None else float(start[self._held])
         self._wall, self._since = WALL, EVERY // 2
 
-    def go(self, judge: Judge, chatter: float, trials: _Trials, until: float, late: float) -> None:
-        """Go on under a limit of the chatter ``until`` so many sets of gains were tried, or it has converged.
-
-        LEVELS are tried from the set of the number ``late`` on.
-        """
+    def go(self, chatter: float, until: float) -> None:
+        """Go on under a limit of the chatter ``until`` so many sets were tried, or it has converged."""
+        search = self._search
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            while trials.tried < until and not self._strategy.stop():
+            while search.tried < until and not self._strategy.stop():
                 asked = self._strategy.ask()
-                whole = [self._with_level(shares, self._level) for shares in asked]
-                judged = judge(whole, chatter, self._wall)
-                self._keep_best(whole, judged)
-                self._strategy.tell(asked, judged.costs)
-                lowest = int(np.argmin(judged.costs))
-                self._wall = max(WALL, self._wall * (LOWER if judged.keep[lowest] else HIGHER))
+                costs, keep = self._judged([self._whole(shares, self._level) for shares in asked], chatter)
+                self._strategy.tell(asked, costs)
+                self._wall = max(WALL, self._wall * (LOWER if keep[int(np.argmin(costs))] else HIGHER))
                 self._since += len(asked)
-                if self._held is not None and self._since >= EVERY and trials.tried >= late:
+                late = search.tried >= LATE * search.budget
+                if self._held is not None and self._since >= EVERY and late:
                     self._since = 0
-                    self._try_levels(judge, chatter)
+                    rest = np.delete(self.best, self._held)
+                    self._judged([self._whole(rest, one) for one in LEVELS if one != self._level], chatter)
+                    self._level = float(self.best[self._held])
 
-    def _try_levels(self, judge: Judge, chatter: float) -> None:
-        """Go on with the share of LEAD_ACCEL that is best with the best gains."""
-        assert self._held is not None
-        rest = np.delete(self.best, self._held)
-        others = [self._with_level(rest, level) for level in LEVELS if level != self._level]
-        self._keep_best(others, judge(others, chatter, self._wall))
-        self._level = float(self.best[self._held])
-
-    def _with_level(self, moved: Floats, level: float) -> Floats:
+    def _whole(self, moved: Floats, level: float) -> Floats:
         return moved if self._held is None else np.insert(moved, self._held, level)
 
-    def _keep_best(self, whole: Sequence[Floats], judged: Judged) -> None:
-        scores = np.where(judged.keep, judged.costs, np.add(judged.costs, BEYOND))
+    def _judged(self, whole: Sequence[Floats], chatter: float) -> tuple[list[float], list[bool]]:
+        """Costs of the sets ``whole``, and which keep the margins; the best of all is kept."""
+        costs, keep = self._search.judged(whole, chatter, self._wall)
+        scores = np.where(keep, costs, np.add(costs, BEYOND))
         i = int(np.argmin(scores))
         if scores[i] < self.least:
             self.best, self.least = np.clip(whole[i], 0.0, 1.0), float(scores[i])
+        return costs, keep
 
 
 def search(
@@ -384,117 +402,36 @@ def search(
     plan: Sequence[Phase],
     budget: int,
     seed: int,
-    told: Told,
+    progress: Told,
     threads: Threads = None,
     known: Sequence[Values] = (),
-    chatter: float | None = None,
 ) -> SearchResult:
     """Try ``budget`` sets of gains of ``law``, those of the parameters ``known`` among the first.
 
-    ``chatter``: limit of it beyond which sets are counted, None: none. Raises ParameterError for a law that
-    has none to choose.
+    Raises ParameterError for a law that has none to choose.
     """
-    free = trial.free_numbers(law, problem.values, problem.preview, problem.scale)
+    run = _Search(law, problem, budget, seed, progress, threads)
+    free, held = run.free, run.held
     if not free:
         raise ParameterError(f"{law.name} has no gains to choose; there is nothing to tune")
-    trials = _Trials(law, problem, free, threads, chatter)
-
-    def judge(several: Sequence[Floats], chatter: float, wall: float = WALL) -> Judged:
-        found = trials.judged(several, chatter, wall)
-        told(min(trials.tried, budget))
-        return found
-
-    given = [problem.values, *known, *designs.starts(law, problem, trials.box)]
     first = [
-        np.array([0.5 if f is AHEAD else f.to_share(present(f, values)) for f in free]) for values in given
+        np.array([0.5 if f is AHEAD else f.to_share(present(f, values)) for f in free])
+        for values in (problem.values, *known, *designs.starts(law, problem, run.box))
     ]
     sobol = scipy.stats.qmc.Sobol(len(free), rng=np.random.default_rng(seed))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a number of points that is no power of two
-        scattered = [*first, *sobol.random(min(SCATTERED, max(1, budget // 25)))]
-    held = free.index(LEAD_ACCEL) if LEAD_ACCEL in free else None
+        scattered = sobol.random(min(SCATTERED, max(1, budget // 25)))
     if held is not None:
-        for shares in scattered[len(first) :]:
-            shares[held] = scattered[0][held]
-    costs = judge(scattered, plan[0].chatter).costs
+        scattered[:, held] = first[0][held]
+    costs, _ = run.judged([*first, *scattered], plan[0].chatter)
     if len(free) == 1:  # no covariance to adapt
-        judge(list(np.linspace(0.0, 1.0, max(2, budget - trials.tried))[:, None]), plan[0].chatter)
+        run.judged(list(np.linspace(0.0, 1.0, max(2, budget - run.tried))[:, None]), plan[0].chatter)
     else:
-        _Search(trials, judge, plan, budget, seed, held).go(scattered, costs)
-    return trials.result()
-
-
-class _Search:
-    """Runs of CMA-ES that share a budget."""
-
-    def __init__(
-        self, trials: _Trials, judge: Judge, plan: Sequence[Phase], budget: int, seed: int, held: int | None
-    ) -> None:
-        self._trials, self._judge, self._plan, self._budget = trials, judge, plan, budget
-        self._seed, self._held = seed, held
-
-    def go(self, scattered: Sequence[Floats], costs: Sequence[float]) -> None:
-        """Search for all phases of the plan, from the sets of gains ``scattered`` on, of these ``costs``."""
-        winner = self._begun(scattered, costs)
-        self._let(winner, self._plan[0], self._plan[0].share * self._budget)
-        until = 0.0
-        for number, phase in enumerate(self._plan):
-            until += phase.share * self._budget
-            end = min(self._budget, round(until))
-            restart = 0
-            while self._trials.tried < end:
-                self._trials.front_at_rest()
-                best = self._trials.best(phase.chatter)
-                place = winner.best if best is None else np.array(best.shares)
-                again = _Run(place, self._held, LATER_STEP, self._seed + 100 * (number + 1) + restart)
-                self._let(again, phase, end)
-                if again.least < winner.least:
-                    winner = again
-                restart += 1
-
-    def _begun(self, scattered: Sequence[Floats], costs: Sequence[float]) -> _Run:
-        """The main run, from the best of a few places if the budget is large enough for these."""
-        moved = len(scattered[0]) - (self._held is not None)
-        fitting = self._budget // max(EACH, EACH_COVARIANCE * moved * moved)
-        if fitting < STARTS:
-            best = scattered[int(np.argmin(costs))]
-            step, population = (LONE_STEP, LONE_POPULATION) if fitting else (FIRST_STEPS[0], POPULATION)
-            return _Run(best, self._held, step, self._seed + 1, population)
-        runs = [
-            _Run(start, self._held, FIRST_STEPS[i % len(FIRST_STEPS)], self._seed + i + 1)
-            for i, start in enumerate(_starts(scattered, costs, STARTS))
-        ]
-        for share in ROUNDS:
-            if len(runs) == 1:
-                break
-            for run in runs:
-                self._let(run, self._plan[0], self._trials.tried + share * self._budget)
-            runs = sorted(runs, key=lambda run: run.least)[: len(runs) // 2]
-        return _Run(runs[0].best, self._held, LAST_STEP, self._seed + STARTS + 1, LAST_POPULATION)
-
-    def _let(self, run: _Run, phase: Phase, until: float) -> None:
-        run.go(self._judge, phase.chatter, self._trials, until, LATE * self._budget)
-
-
-def _starts(scattered: Sequence[Floats], costs: Sequence[float], count: int) -> list[Floats]:
-    """Up to ``count`` of the places ``scattered``, the best first, that are APART from each other."""
-    chosen: list[Floats] = []
-    for i in np.argsort(costs):
-        if all(math.sqrt(np.mean((scattered[i] - other) ** 2)) > APART for other in chosen):
-            chosen.append(scattered[i])
-        if len(chosen) == count:
-            break
-    return chosen
-
-
-def _point(shares: tuple[float, ...], gains: GainSet, outcome: TrialResult) -> EvaluatedGains:
-    return EvaluatedGains(
-        shares,
-        gains,
-        outcome.error,
-        outcome.chatter if math.isfinite(outcome.chatter) else math.inf,
-        float(np.mean(outcome.saturated)),
-    )
+        run.go(plan, [*first, *scattered], costs)
+    run.front_at_rest()
+    nearest = None if run.points or run.nearest is None else run.nearest[1]
+    return SearchResult(run.points, run.tried, run.missed, run.values, nearest)
 
 
 def front(points: Sequence[EvaluatedGains]) -> list[EvaluatedGains]:

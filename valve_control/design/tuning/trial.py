@@ -157,19 +157,6 @@ def _built(build: Callable[[Values], Any], items: tuple[tuple[str, Any], ...]) -
     return build({name: list(value) if isinstance(value, tuple) else value for name, value in items})
 
 
-def given(law: Law, params: Any, values: Values, gains: GainSet, problem: Problem, wanted: Floats) -> Floats:
-    """Commands [V] as the law gets them for the motion ``wanted`` [V]."""
-    limit = number(values, "command_limit")
-    if not problem.preview:
-        lead = command_lead.build(values, law.reshapes(params))
-        return delivery.led(lead, values, np.clip(wanted, -limit, limit), problem.delivery)
-    if law.reshapes(params):
-        after = wanted[-1] + (wanted[-1] - wanted[-2]) * np.arange(1, 3)  # goes on straight at its end
-        return delivery.unreshaped(params.reshaping, np.concatenate([wanted, after]))
-    steps = np.arange(len(wanted), dtype=np.float64)
-    return np.interp(steps + gains.ahead / number(values, "sample_period"), steps, wanted)
-
-
 class Loops:
     """``several`` sets of gains of one law on N ``plants``: loop i is that of plant i % N.
 
@@ -193,9 +180,19 @@ class Loops:
 
         ``sender``: the problem that says how they come, if it is another one.
         """
-        each = zip(self._params, self._values, self._several, strict=True)
-        sender = sender or self._problem
-        return np.array([given(self._law, p, v, gains, sender, wanted) for p, v, gains in each])
+        sender, rows = sender or self._problem, []
+        for params, values, gains in zip(self._params, self._values, self._several, strict=True):
+            if not sender.preview:
+                limit = number(values, "command_limit")
+                lead = command_lead.build(values, self._law.reshapes(params))
+                rows.append(delivery.led(lead, values, np.clip(wanted, -limit, limit), sender.delivery))
+            elif self._law.reshapes(params):
+                after = wanted[-1] + (wanted[-1] - wanted[-2]) * np.arange(1, 3)  # on straight at its end
+                rows.append(delivery.unreshaped(params.reshaping, np.concatenate([wanted, after])))
+            else:
+                steps = np.arange(len(wanted), dtype=np.float64)
+                rows.append(np.interp(steps + gains.ahead / sender.period, steps, wanted))
+        return np.array(rows)
 
     def run(
         self,

@@ -3,16 +3,16 @@
 """Tunes one law: search in each of its variants, choice of one point of the front, verification."""
 
 import functools
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from valve_control.control.analysis import steps
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.design.tuning import limits, search, verification
+from valve_control.design.tuning import limits, overshoot, search, verification
 from valve_control.design.tuning.search import EvaluatedGains, Told
 from valve_control.design.tuning.trial import GainSet, Problem, Threads
 from valve_control.design.tuning.verification import Verified
@@ -24,24 +24,16 @@ NEAR = 0.97  # share of a limit up to which a point is taken; valves that were n
 QUIET = 1.25  # times the least chatter, up to which gains are taken where the limit gives way
 
 
-class Aim(NamedTuple):
-    """Which point of the front is wanted: the least error at most so much chatter; None: the knee."""
-
-    chatter: float | None
-    firm: bool = True  # False: where no gains keep the limit of the chatter, the quieter ones are accepted
-
-
 class Chosen(NamedTuple):
-    """One variant of a law with gains, and what verification says of them."""
+    """Gains, with the variant of the law that they belong to, and what verification says of them."""
 
-    variant: Mapping[str, Value]
     point: EvaluatedGains
     verified: Verified
 
     @property
     def changes(self) -> dict[str, Value]:
         """Parameters that are chosen."""
-        return {**self.variant, **self.point.gains.changes}
+        return dict(self.point.gains.changes)
 
     @property
     def holds(self) -> bool:
@@ -53,7 +45,7 @@ class Tuned(NamedTuple):
     """Result for one law."""
 
     law: str
-    front: list[tuple[Mapping[str, Value], EvaluatedGains]]  # by falling chatter, with the variant
+    front: list[EvaluatedGains]  # by falling chatter
     chosen: Chosen  # that holds, or the first of those that do not
     tried: int
     missed: int  # of them, the margins or rest
@@ -75,13 +67,15 @@ def variants(law: Law, values: Values) -> list[Mapping[str, Value]]:
     return fitting or [{}]
 
 
-def ranked(front: Sequence[EvaluatedGains], aim: Aim) -> list[EvaluatedGains]:
-    """Points of a front in the order in which they are wanted. Empty if none fits ``aim``."""
+def ranked(front: Sequence[EvaluatedGains], chatter: float | None) -> list[EvaluatedGains]:
+    """Points of a front in the order in which they are wanted: the least error at most so much ``chatter``.
+
+    None: the knee first. Empty if none fits.
+    """
     if not front:
         return []
-    if aim.chatter is not None:
-        limit = NEAR * aim.chatter
-        return sorted((p for p in front if p.chatter <= limit), key=lambda p: p.error)
+    if chatter is not None:
+        return sorted((p for p in front if p.chatter <= NEAR * chatter), key=lambda p: p.error)
     best = search.knee(front)
     return sorted(
         front, key=lambda p: abs(math.log(p.error / best.error)) + abs(math.log(p.chatter / best.chatter))
@@ -92,88 +86,92 @@ def tuned(
     law: Law,
     problem: Problem,
     unseen: Problem,
-    aim: Aim,
+    chatter: float | None,
     budget: int,
     seed: int,
     told: Told,
     threads: Threads = None,
-    verifying: Told = lambda tried: None,
     known: Sequence[Values] = (),
+    firm: bool = True,
 ) -> Tuned:
     """Tune ``law`` on ``problem`` with ``budget`` sets of gains in each variant, and verify on ``unseen``.
 
-    The gains of the parameters ``known`` are among the first that are tried. ``told`` gets the sets of gains
-    tried so far, ``verifying`` the number of points that were verified before the one that comes next.
+    ``chatter``: limit of it, None: the knee of the front is wanted. Where no gains keep it and it is not
+    ``firm`` the quieter ones are accepted. The gains of the parameters ``known`` are among the first that are
+    tried. ``told`` gets the sets of gains tried so far, before each verification too.
 
     A result comes always. Where no gains keep what is asked for it is the nearest, which is accepted unless
     it misses a margin, or another limit that a set of the search or the gains from before it keep. Raises
     ParameterError for a law that has no gains to choose.
     """
-    points: list[tuple[Mapping[str, Value], EvaluatedGains]] = []
-    nearest: list[tuple[Mapping[str, Value], EvaluatedGains]] = []
-    counts: list[limits.Counts] = []
+    points: list[EvaluatedGains] = []
+    nearest: list[EvaluatedGains] = []
+    measured: dict[str, list[float]] = {}
     tried = missed = 0
     for variant in variants(law, problem.values):
-        values = updated(CONTROLLER, problem.values, variant)
-        found = search.search(
-            law,
-            problem._replace(values=values),
-            search.phases(aim.chatter),
-            budget,
-            seed,
+        there = problem._replace(values=updated(CONTROLLER, problem.values, variant))
+        one = search.search(
+            law, there, search.phases(chatter), budget, seed,
             lambda done, before=tried: told(before + done),  # type: ignore[misc]
-            threads,
-            known,
-            aim.chatter,
-        )
-        points += [(variant, point) for point in found.points]
-        nearest += [(variant, found.nearest)] if found.nearest is not None else []
-        counts.append(found.counts)
-        tried, missed = tried + found.tried, missed + found.missed
+            threads, known,
+        )  # fmt: skip
+
+        def of_variant(point: EvaluatedGains, variant: Mapping[str, Value] = variant) -> EvaluatedGains:
+            return point._replace(gains=point.gains._replace(changes={**variant, **point.gains.changes}))
+
+        points += map(of_variant, one.points)
+        nearest += map(of_variant, [] if one.nearest is None else [one.nearest])
+        measured = {limit: measured.get(limit, []) + one.values.get(limit, []) for limit in limits.BY_NAME}
+        tried, missed = tried + one.tried, missed + one.missed
     if not points and not nearest:
         raise ParameterError(f"{law.name} cannot be built with any of {tried} sets of gains")
-    owner = {id(point): variant for variant, point in [*points, *nearest]}
-    usable, notes = _within(problem.limits.overshoot, [point for _, point in points], aim)
-    front = search.front(usable) or [min((p for _, p in nearest), key=lambda p: p.error)]
+    usable, notes = _within(problem.limits.overshoot, points, chatter)
+    front = search.front(usable) or [min(nearest, key=lambda p: p.error)]
     chosen: Chosen | None = None
-    verified = itertools.count()
-    kept = aim
+    wishes, kept = [chatter], chatter
+    if chatter is not None:  # what takes its place where no gains keep it
+        least = min(point.chatter for point in front)
+        wishes.append(QUIET * max(chatter, least))
 
     @functools.cache
-    def firm(limit: str) -> bool:
+    def hard(limit: str) -> bool:
         if limit == "chatter":
-            return aim.firm
-        able = [p for _, p in points if limit != "saturation" or p.saturated <= problem.limits.saturated]
+            return firm
+        able = [p for p in points if limit != "saturation" or p.saturated <= problem.limits.saturated]
         return bool(able) or _shipped_keep(limit, law, problem, threads)
 
-    for wanted in _aims(front, aim):
+    for wanted in wishes:
         refused: list[EvaluatedGains] = []
         for point in ranked(front, wanted):
-            if any(_near(point, other) for other in refused):
-                continue
-            verifying(next(verified))
-            variant = owner[id(point)]
-            there = unseen._replace(values=updated(CONTROLLER, unseen.values, variant))
-            limit = aim.chatter if aim.firm else wanted.chatter
-            judged = verification.verified(law, there, point.gains, limit, threads, firm)
-            if chosen is None or _order(judged) < _order(chosen.verified):
-                chosen, kept = Chosen(variant, point, judged), wanted
-            if _order(judged) == (False, 0) or (judged.reasons == [] and notes):
-                break
-            refused.append(point)
             if len(refused) == TRIES:
                 break
-        if chosen is not None and (aim.firm or not _too_loud(chosen, wanted)):
+            if any(_near(point, other) for other in refused):
+                continue
+            told(tried)
+            limit = chatter if firm else wanted
+            judged = verification.verified(law, unseen, point.gains, limit, threads, hard)
+            if chosen is None or _order(judged) < _order(chosen.verified):
+                chosen, kept = Chosen(point, judged), wanted
+            if not judged.reasons and (notes or not judged.notes):
+                break
+            refused.append(point)
+        if chosen is not None and (
+            firm or wanted is None or not chosen.verified.seen.chatter > verification.SLACK * wanted
+        ):
             break
-    assert chosen is not None, "the last of the aims fits a point"
-    front_of = [(owner[id(point)], point) for point in front]
-    wanted_limits = limits.asked(problem.limits, aim.chatter)
-    rows = limits.as_rows(limits.together(counts), wanted_limits)
-    notes += _wishes(front, aim, kept)
+    assert chosen is not None, "the last of the wishes fits a point"
+    rows = limits.as_rows(measured, limits.asked(problem.limits, chatter))
+    if kept != chatter:
+        notes.append(
+            f"no set within c_u {chatter:g}: the least is {least:.3g}; those up to {kept:.3g} are taken"
+        )
     if chosen.verified.reasons and not points:
         notes.append("valve-control margins --box shows where in the box a margin is missed")
-    notes += chosen.verified.notes + verification.unsettled(chosen.verified)
-    return Tuned(law.name, front_of, chosen, tried, missed, kept.chatter, notes, rows)
+    notes += chosen.verified.notes
+    if math.isinf(chosen.verified.settling):
+        share, band = 100.0 * chosen.verified.unsettled_share, 100.0 * steps.BAND
+        notes.append(f"{share:.2g} % of the steps are not settled to {band:g} % within {overshoot.HELD:g} s")
+    return Tuned(law.name, front, chosen, tried, missed, kept, notes, rows)
 
 
 def _order(judged: Verified) -> tuple[bool, int]:
@@ -182,7 +180,7 @@ def _order(judged: Verified) -> tuple[bool, int]:
 
 
 def _within(
-    most: float, points: Sequence[EvaluatedGains], aim: Aim
+    most: float, points: Sequence[EvaluatedGains], chatter: float | None
 ) -> tuple[list[EvaluatedGains], list[str]]:
     """Those of ``points`` within ``most`` [-] of overshoot, or the nearest and a sentence about that.
 
@@ -191,7 +189,7 @@ def _within(
     known = [point for point in points if point.within(most) or point.overshoot is not None]
     if math.isinf(most) or not known:
         return list(points), []
-    quiet = [point for point in known if aim.chatter is None or point.chatter <= NEAR * aim.chatter] or known
+    quiet = [point for point in known if chatter is None or point.chatter <= NEAR * chatter] or known
     free = min(quiet, key=lambda p: p.error)
     worth = [point for point in quiet if point.error <= search.WORTH * free.error]
     least = min(worth, key=lambda p: (_overshoot(p), p.error))
@@ -212,14 +210,6 @@ def _overshoot(point: EvaluatedGains) -> float:
     return math.inf if point.overshoot is None else point.overshoot
 
 
-def _wishes(front: Sequence[EvaluatedGains], aim: Aim, kept: Aim) -> list[str]:
-    """A sentence about a limit of the chatter that had to give way."""
-    if kept == aim:
-        return []
-    least, wanted = min(point.chatter for point in front), f"c_u {aim.chatter:g}"
-    return [f"no set within {wanted}: the least is {least:.3g}; those up to {kept.chatter:.3g} are taken"]
-
-
 def _shipped_keep(name: str, law: Law, problem: Problem, threads: Threads) -> bool:
     """Whether ``law`` keeps the limit of this ``name`` with the gains that it had before the search."""
     limit = limits.BY_NAME[name]
@@ -228,19 +218,6 @@ def _shipped_keep(name: str, law: Law, problem: Problem, threads: Threads) -> bo
     except ParameterError:
         return False
     return not limit.missed(value, limit.asked(problem.limits))
-
-
-def _aims(front: Sequence[EvaluatedGains], aim: Aim) -> list[Aim]:
-    """``aim``, and what takes its place where no gains keep it."""
-    if aim.chatter is None:
-        return [aim]
-    least = min(point.chatter for point in front)
-    return [aim, aim._replace(chatter=QUIET * max(aim.chatter, least))]
-
-
-def _too_loud(chosen: Chosen, aim: Aim) -> bool:
-    """Whether chatter on valves that were not seen is what speaks against ``chosen``."""
-    return aim.chatter is not None and chosen.verified.seen.chatter > verification.SLACK * aim.chatter
 
 
 def _near(a: EvaluatedGains, b: EvaluatedGains) -> bool:
@@ -271,9 +248,9 @@ def as_dict(result: Tuned) -> dict[str, Any]:
                 "error": point.error if math.isfinite(point.error) else None,
                 "chatter": point.chatter if math.isfinite(point.chatter) else None,
                 "overshoot": point.overshoot,
-                "parameters": {**variant, **point.gains.changes},
+                "parameters": point.gains.changes,
             }
-            for variant, point in result.front
+            for point in result.front
         ],
         "verified": verification.as_dict(chosen.verified),
         "margins": worst,

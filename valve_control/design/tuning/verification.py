@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Verifies gains on valves, noise and motions that the search did not see, before they are accepted."""
 
-import math
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.arrays import Floats
-from valve_control.control.analysis import steps
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins, stability
@@ -94,7 +93,7 @@ def verified(
         check("saturation", float(np.mean(outcome.saturated)), before=f"on {motions} ")
     if chatter is not None:
         check("chatter", seen.chatter, SLACK)
-    answers = overshoot.answers(law, problem, gains, threads)
+    (answers,) = overshoot.answers(law, problem, [gains], threads)
     overshot, settling = (overshoot.typical(rows) for rows in answers)
     check("overshoot", overshot)
     return Verified(
@@ -110,19 +109,13 @@ def verified(
     )
 
 
-def unsettled(v: Verified) -> list[str]:
-    """A sentence, if the median valve has not settled while a step is held."""
-    if math.isfinite(v.settling):
-        return []
-    return [
-        f"{100.0 * v.unsettled_share:.2g} % of the steps are not settled to {100.0 * steps.BAND:g} % within "
-        f"{overshoot.HELD:g} s"
-    ]
+def of_study(study: Study, result: StudyResult, threads: Threads) -> list[dict[str, Any]]:
+    """How many of the first LOOKED_AT valves miss each limit of a search, for JSON; [] if nothing moves.
 
-
-def of_study(study: Study, found: StudyResult, threads: Threads) -> list[dict[str, Any]]:
-    """How many of the first LOOKED_AT valves miss each limit of a search, for JSON; [] if nothing moves."""
-    asked, counts = trial.USUAL._replace(overshoot=trial.OVERSHOOT), []
+    Each valve has its own gains, and the overshoot of its worst step.
+    """
+    asked = trial.USUAL._replace(overshoot=trial.OVERSHOOT)
+    gains, measured = GainSet({}, 0.0), defaultdict[str, list[float]](list)
     points, periods = robustness.draw(study, 0, min(LOOKED_AT, study.valves))
     for period in np.unique(periods).tolist():
         values = robustness.sampled(study, "controller", period)
@@ -131,33 +124,19 @@ def of_study(study: Study, found: StudyResult, threads: Threads) -> list[dict[st
             return []
         own = np.flatnonzero(periods == period)
         plants = [build.valve_params(robustness.valve_of(study, int(i), points[i], period)) for i in own]
-        motions = [TuningMotion("command", wanted)]
-        problem = Problem(values, motions, plants, plants, asked, False, study.seed)
-        counts.append(_of_valves(problem, found.results.saturated[own], threads))
-    return limits.as_rows(limits.together(counts), limits.asked(asked))
-
-
-def _of_valves(problem: Problem, saturated: Floats, threads: Threads) -> limits.Counts:
-    """How many of the plants of ``problem`` miss each limit with its own gains, and the best of them.
-
-    ``saturated``: share of saturated samples of each. Overshoot: of the worst step.
-    """
-    gains, counts, law = GainSet({}, 0.0), limits.Counts(), LAWS[word(problem.values, "controller")]
-    params, wanted = law.build(problem.values), limits.asked(problem.limits)
-    seen = [stability.behind_curve(problem.values, plant)[0] for plant in problem.plants]
-    found = margins.margins(law, params, margins.prepared(seen)) if law.feedback else None
-    restless = set(limit_cycles.after_all(law, problem, gains, problem.plants, threads).tolist())
-    overshot = np.max(overshoot.answers(law, problem, gains, threads)[0], axis=0)
-    for i, share in enumerate(saturated):
-        values = {
-            "saturation": float(share),
-            "not at rest": float(i in restless),
-            "overshoot": float(overshot[i]),
-        }
-        if found is not None:
-            values |= limits.of_margins(margins.Margins(*(row[i : i + 1] for row in found)))
-        limits.count(counts, wanted, values)
-    return counts
+        problem = Problem(values, [TuningMotion("command", wanted)], plants, plants, asked, False, study.seed)
+        law = LAWS[word(values, "controller")]
+        if law.feedback:
+            box = margins.prepared([stability.behind_curve(values, plant)[0] for plant in plants])
+            for name, each in limits.of_margins(margins.margins(law, law.build(values), box)).items():
+                measured[name] += each
+        restless = limit_cycles.after_all(law, problem, gains, plants, threads)
+        measured["saturation"] += result.results.saturated[own].tolist()
+        measured["not at rest"] += np.isin(np.arange(len(plants)), restless).astype(float).tolist()
+        measured["overshoot"] += np.max(
+            overshoot.answers(law, problem, [gains], threads)[0][0], axis=0
+        ).tolist()
+    return limits.as_rows(measured, limits.asked(asked))
 
 
 def as_dict(v: Verified) -> dict[str, Any]:
