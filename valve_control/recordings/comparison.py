@@ -68,15 +68,6 @@ def _overlay(signals: Aligned, over: Aligned) -> tuple[float, str]:
     return moved, what if alike else f"beginning of the {what}'s motion"
 
 
-def moves(names: Sequence[str], runs: Sequence[BagRun]) -> list[str]:
-    """By how much each run was shifted to lie over the first, in words."""
-    return [
-        f"{name}: moved by {run.shift:+.3f} s to lie over the first by its {run.by}"
-        for name, run in zip(names, runs, strict=True)
-        if run.shift is not None and run.by
-    ]
-
-
 def labels(names: Sequence[str]) -> list[str]:
     """``names``, numbered where two are the same."""
     return [
@@ -136,12 +127,17 @@ def report(runs: Sequence[BagRun]) -> Report:
         positions.append(Line(name, time, s.measurement, colour))
         errors.append(Line(name, time, s.measurement - s.command, colour))
         voltages.append(Line(name, time, s.voltage, colour))
+    moves = [
+        f"{name}: moved by {run.shift:+.3f} s to lie over the first by its {run.by}"
+        for name, run in zip(names, runs, strict=True)
+        if run.shift is not None and run.by
+    ]
     plots = [Plot("spool position [V]", positions), Plot("error [V]", errors), Plot("voltage [V]", voltages)]
     return Report(
         "valve_control: bags compared",
         {"runs": [as_dict(name, run) for name, run in zip(names, runs, strict=True)]},
         {
             "Indices": [index_table(rows), Notes([text for run in runs for text in run.left_out])],
-            "Signals, overlaid by their motion": [*moves(names, runs), Figure(plots)],
+            "Signals, overlaid by their motion": [*moves, Figure(plots)],
         },
     )
