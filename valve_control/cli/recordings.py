@@ -21,7 +21,6 @@ from valve_control.cli.common import (
     say,
     tell_notes,
     write_json,
-    wrote,
 )
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import NODES
@@ -232,21 +231,15 @@ def _deliver(arguments: argparse.Namespace, report: "Report", csv_files: Mapping
 
 
 def compare_bags(arguments: argparse.Namespace) -> None:
-    """Print and draw the indices and overlaid runs of several bags."""
+    """Report the indices and overlaid runs of several bags."""
     from valve_control.recordings import comparison
     from valve_control.recordings.analysis import analyze
 
-    check_outputs(arguments, [arguments.html], [arguments.figure])
+    check_outputs(arguments, [arguments.html])
     runs = []
     for path in arguments.bags:
         runs += comparison.runs(path, analyze(_load(arguments, path)))
-    if arguments.figure is not None and all(run.signals is None for run in runs):
-        raise BagError("there is nothing for --figure: no run has readings that can be aligned")
-    report = comparison.report(runs)
-    if arguments.figure is not None:
-        comparison.draw(Path(arguments.figure), runs)
-        wrote(arguments, arguments.figure)
-    _deliver(arguments, report, {})
+    _deliver(arguments, comparison.report(runs), {})
 
 
 def _recover(arguments: argparse.Namespace) -> int:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
 SIMULATED = (
     "valve", "scenario", "command", "sample_period", "duration", "seed", "command_period", "command_jitter",
-    "command_drift", "set", "params_file",
+    "command_drift", "set", "params_file", "figure",
 )  # fmt: skip
 FIGURE = "command, position, error and voltage as PNG or SVG"
 LONG = 5_000_000  # samples from which on a run shows its progress
@@ -108,7 +108,9 @@ def add_commands(commands: Any) -> None:
         "one command, beside the paper's Table 1.",
     )
     compare.add_argument("bags", nargs="*", metavar="BAG", help="bags to compare")
-    output_group(compare, figure=FIGURE, html="bags: tables and overlaid figures as one HTML page")
+    output_group(
+        compare, figure=f"simulation: {FIGURE}", html="bags: tables and overlaid figures as one HTML page"
+    )
     repeated(compare, "--map", "PART=/TOPIC.FIELD", "bags: as for analyze")
     clock_option(compare)
     compare.set_defaults(run=_compare)
