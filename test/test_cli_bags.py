@@ -86,13 +86,13 @@ def test_replay_as_what_if(run, bags, tmp_path):
 
 def test_compare_bags(run, bags, tmp_path):
     done = run("compare", bags / "arc", bags / "oarc", bags / "both", "--json", tmp_path / "c.json",
-                   "--html", tmp_path / "c.html", "--figure", tmp_path / "c.png")  # fmt: skip
+                   "--html", tmp_path / "c.html")  # fmt: skip
     assert done.status == 0, done.err
     runs = json.loads((tmp_path / "c.json").read_text())["runs"]
     assert [r["name"] for r in runs] == ["arc", "oarc", "both/arm", "both/boom"]
     for one in runs:
         assert one["name"] in done.out
-    assert (tmp_path / "c.png").read_bytes()[:4] == b"\x89PNG"
+    assert "Plotly.newPlot" in (tmp_path / "c.html").read_text()
 
 
 def test_the_signals_of_a_bag_as_a_table_are_the_bag(run, bags, tmp_path):
@@ -125,7 +125,7 @@ def test_compare_lays_the_motions_over_each_other(run, tmp_path):
             made.sample(1.5 * float(np.sin(2.0 * np.pi * 2.0 * i * 1e-3)), lost=700 <= i < 700 + lost)
         write(tmp_path / name, made.messages)
     done = run("compare", tmp_path / "early", tmp_path / "late", "--json", tmp_path / "c.json",
-                   "--html", tmp_path / "c.html", "--figure", tmp_path / "c.png")  # fmt: skip
+                   "--html", tmp_path / "c.html")  # fmt: skip
     assert done.status == 0, done.err
     early, late = json.loads((tmp_path / "c.json").read_text())["runs"]
     assert early["shift_s"] == 0.0 and early["overlaid_by"] is None
@@ -174,28 +174,16 @@ def test_a_real_bag_with_a_mapped_field(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["analyze", "nothing"], ["there is no bag nothing"]),
-        (["analyze", REAL / "README.md"], ["README.md", "not a bag"]),
         (["analyze", REAL / "jazzy_mcap_drone_yaw"], ["spool_position", "/cf_logpos", "--map"]),
-        (["analyze", "{arc}", "--map", "spool_position=/nothing"], ["/nothing"]),
-        (["analyze", "{arc}", "--map", "spool=/x"], ["--map", "'spool=/x'"]),
-        (["analyze", "{arc}", "--expect", "good"], ["--expect", "e_rms<0.02"]),
         (["analyze", "{arc}", "--expect", "erms<1"], ["erms", "e_rms"]),
-        (["analyze", "{arc}", "--from", "2", "--to", "1"], ["--to", "--from"]),
         (["analyze", "{arc}", "--from", "900"], ["no message"]),
-        (["analyze", "{arc}", "--html", "no/such/folder/r.html"], ["r.html", "no folder"]),
         (["replay", "{both}"], ["boom", "arm", "--of"]),
-        (["replay", "{both}", "--of", "leg"], ["leg", "boom"]),
         (["replay", "{arc}", "--set", "arc.k1=-1"], ["arc.k1", "between"]),
-        (["replay", "{arc}", "--set", "u_max=nan"], ["u_max"]),
         (["replay", "{arc}", "--mode", "what-if", "--set", "sample_period=0.5"], ["sample_period"]),
-        (["replay", "{arc}", "--mode", "backwards"], ["backwards", "shadow"]),
         (["replay", "{arc}", "--mode", "what-if", "--set", "amplitude=1"], ["recorded command", "amplitude"]),
         (["analyze", "{both}", "--csv", "x.csv", "--html", "x_arm.csv"], ["x_arm.csv", "two outputs"]),
-        (["compare", "{arc}", "nothing"], ["nothing"]),
         (["compare", "{arc}", "--seed", "3"], ["--seed", "simulation"]),
         (["compare", "--html", "x.html"], ["--html", "bags"]),
-        (["bag", "recover", "nothing"], ["there is no bag nothing"]),
         (["bag", "recover", REAL / "README.md"], ["README.md"]),
     ],
 )  # fmt: skip

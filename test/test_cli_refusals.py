@@ -69,6 +69,7 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
         (["export", "--output", "e", "--set", "dcarc.denominator=[1.0, 2.0]"], ["dcarc.model=custom"]),
         (["study", "--replay", "1", "--output", "v.yaml", "--figure", "f.png"], ["--figure", "--replay"]),
         (["compare", "a", "b", "--command-drift", "50"], ["--command-drift", "for simulation"]),
+        (["compare", "a", "b", "--figure", "x.png"], ["--figure", "for simulation"]),
         (["identify", "--set", "valve=second_order", "--order", "4", *QUICK], ["not support", "--order 2"]),
         (["simulate", "--command", "/dev/zero"], ["device"]),
         (["study", "--threads", "10000"], ["10000", "cores"]),
@@ -132,7 +133,7 @@ def test_an_output_does_not_take_the_place_of_an_input(run, bags, tmp_path, conf
         ["analyze", bags / "arc", "--csv", bags / "arc" / "metadata.yaml"],
         ["analyze", bags / "arc", "--html", bags / "arc" / "report.html"],
         ["replay", bags / "arc", "--json", bags / "arc" / "r.json"],
-        ["compare", bags / "arc", bags / "pid", "--figure", bags / "pid" / "x.png"],
+        ["compare", bags / "arc", bags / "pid", "--html", bags / "pid" / "x.html"],
     ):
         refused(run(*arguments), "input")
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before

@@ -24,7 +24,7 @@ OUTPUTS = {
     "tune": "json output",
     "analyze {bag}": "json csv html",
     "replay {bag}": "json csv html",
-    "compare {bag} {bag}": "json figure html",
+    "compare {bag} {bag}": "json html",
     "bag recover {bag}": "json",
 }
 NOWHERE = ("missing/folder/x{s}", "folder", "file.txt/x{s}", "folder/", "", "a" * 300 + "{s}", "loop{s}/x{s}")

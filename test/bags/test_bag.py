@@ -136,57 +136,6 @@ def test_mcap_files_of_the_mcap_library(tmp_path, compression, chunked, summary)
     assert np.array_equal(series.log_time - series.publish_time, np.full(2000, 7))
 
 
-def test_mcap_cut_at_any_byte_gives_all_whole_chunks(tmp_path):
-    whole = tmp_path / "whole.mcap"
-    ends = []
-    with whole.open("wb") as stream:
-        writer = LibraryWriter(stream, chunk_size=10**9, compression=CompressionType.ZSTD)
-        writer.start("ros2")
-        channel = writer.register_channel(
-            "/x", "cdr", writer.register_schema(FLOAT, "ros2msg", b"float64 data")
-        )
-        for k in range(400):
-            writer.add_message(channel, 10**9 + k, number(float(k)), 10**9 + k, k + 1)
-            if k % 40 == 39:
-                writer.flush()
-                ends.append(stream.tell())
-        writer.finish()
-    data = whole.read_bytes()
-    draw = random.Random(1)
-    for cut in draw.sample(range(ends[0], len(data) - 8), 12):
-        torn = tmp_path / "torn.mcap"
-        torn.write_bytes(data[:cut])
-        bag = Bag(torn)
-        values = bag.read({"/x": ["data"]})["/x"].values["data"]
-        assert len(values) >= 40 * sum(end <= cut for end in ends)
-        assert np.array_equal(values, np.arange(float(len(values))))
-        assert any("unfinished" in problem and "recover" in problem for problem in bag.problems)
-
-
-def test_a_damaged_chunk_is_left_out_and_said(tmp_path):
-    path = tmp_path / "a.mcap"
-    with path.open("wb") as stream:
-        writer = LibraryWriter(stream, chunk_size=10**9, compression=CompressionType.NONE)
-        writer.start("ros2")
-        channel = writer.register_channel(
-            "/x", "cdr", writer.register_schema(FLOAT, "ros2msg", b"float64 data")
-        )
-        places = []
-        for k in range(300):
-            writer.add_message(channel, 10**9 + k, number(float(k)), 10**9 + k, k + 1)
-            if k % 100 == 99:
-                places.append(stream.tell())
-                writer.flush()
-        writer.finish()
-    data = bytearray(path.read_bytes())
-    data[places[1] + 500] ^= 0xFF
-    path.write_bytes(data)
-    bag = Bag(path)
-    values = bag.read({"/x": ["data"]})["/x"].values["data"]
-    assert np.array_equal(values, [*range(100), *range(200, 300)])
-    assert sum("damaged" in problem for problem in bag.problems) == 1
-
-
 def test_damaged_files_never_do_more_than_raise_bag_error(tmp_path):
     """Bytes changed at random: what is read may be wrong, but nothing else may happen."""
     write_rosbags(tmp_path / "m", StoragePlugin.MCAP, count=60)

@@ -91,17 +91,6 @@ def test_labels_choose_entries_wherever_they_stand():
     assert Decoder(topic, ()).labels(raw[1]) == ["c", "a", "b"]
 
 
-def test_joints_are_chosen_by_name():
-    header = T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](0, 0), "")
-    message = T["sensor_msgs/msg/JointState"](
-        header, ["boom", "arm"], np.array([0.5, 0.25]), np.array([]), np.array([])
-    )
-    _, buffer, offset, length = packed([message])
-    topic = Topic("/j", "sensor_msgs/msg/JointState")
-    values, _ = Decoder(topic, ["position[arm]", "position[0]"]).decode(buffer, offset, length)
-    assert values.tolist() == [[0.25, 0.5]]
-
-
 @pytest.mark.parametrize("cut", [0, 3, 4, 8, 20, 50])
 def test_short_messages_are_counted_not_guessed(cut):
     raw, *_ = packed([imu(lambda s: 1.0 if s is numbers else "w" if s is words else [1.0] * 9)])
@@ -137,11 +126,6 @@ def test_a_wrong_field_is_told_what_there_is(field, words):
 def test_what_is_no_field_is_refused(field):
     with pytest.raises(BagError):
         normal(field)
-
-
-def test_unknown_type_is_said():
-    with pytest.raises(BagError, match="my/msg/Own"):
-        Decoder(Topic("/t", "my/msg/Own"), ["x"])
 
 
 def test_the_bag_s_own_definition_wins():

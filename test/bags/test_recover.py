@@ -3,10 +3,7 @@
 """Bags of killed recorders and damaged bags: what is whole is copied, and the bag stays as it is."""
 
 import shutil
-import signal
 import sqlite3
-import subprocess
-import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -115,42 +112,6 @@ def test_lost_metadata_is_made_anew(tmp_path, storage):
         recover(tmp_path / "bag", tmp_path / "bag" / "copy")
 
 
-KILLED = """
-import sys, time
-from pathlib import Path
-sys.path[:0] = [{here!r}]
-from test_writer import fill, opened
-writer = opened(Path(sys.argv[1]), storage=sys.argv[2])
-for k in range(1000000):
-    fill(writer, 50, 50 * k)
-    writer.flush()
-    print(50 * (k + 1), flush=True)
-    time.sleep(0.002)
-"""
-
-
-@pytest.mark.parametrize("storage", STORAGES)
-def test_the_bag_of_a_killed_recorder_opens_as_it_is_and_is_finished(tmp_path, storage):
-    script = KILLED.format(here=str(Path(__file__).parent))
-    child = subprocess.Popen(
-        [sys.executable, "-c", script, tmp_path / "bag", storage], stdout=subprocess.PIPE, text=True
-    )
-    try:
-        flushed = [int(child.stdout.readline()) for _ in range(20)][-1]
-        child.send_signal(signal.SIGKILL)
-        flushed = max([flushed, *map(int, child.stdout.read().split())])
-    finally:
-        child.kill()
-        child.wait()
-    with closing(Bag(tmp_path / "bag")) as opened_bag:
-        series = opened_bag.read({"/spool_position": ["data"]})["/spool_position"]
-        assert any("unfinished" in text and "bag recover" in text for text in opened_bag.problems)
-    assert len(series.log_time) >= flushed
-    assert series.sequence.tolist() == list(range(1, len(series.log_time) + 1))
-    result = recover(tmp_path / "bag")
-    assert numbers(result.out) == series.sequence.tolist() and result.lost is None
-
-
 def test_a_damaged_database_is_left_to_sqlite(tmp_path):
     with opened(tmp_path / "bag", storage="sqlite3") as writer:
         fill(writer, 5000)
@@ -196,10 +157,3 @@ def test_a_file_that_was_not_fetched_is_named(tmp_path, pointer):
     for function in (Bag, recover):
         with pytest.raises(BagError, match=POINTERS[pointer]):
             function(writer.path)
-
-
-def test_what_cannot_be_recovered_is_refused(tmp_path):
-    (tmp_path / "table.csv").write_text("t,u\n0,1\n1,2\n")
-    for path, words in ((tmp_path / "nothing", "there is no bag"), (tmp_path / "table.csv", "is a table")):
-        with pytest.raises(BagError, match=words):
-            recover(path)

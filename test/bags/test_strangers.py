@@ -69,13 +69,6 @@ def test_what_is_not_cdr_is_refused_with_topic_and_encoding(tmp_path, kind, topi
     assert encoding in str(caught.value) and "has no spool" not in str(caught.value)
 
 
-def test_another_topic_in_its_place_is_read(tmp_path):
-    path = channels(tmp_path / "a.mcap", {POSITION: FOREIGN["json"], "/lvdt": CDR, "/noise": FOREIGN["json"]})
-    with closing(Bag(path)) as bag:
-        (valve,) = find_valves(bag, ["spool_position=/lvdt"]).values()
-    assert valve.sources["spool_position"].topic == "/lvdt"
-
-
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_the_serialization_that_metadata_names_counts(tmp_path, storage):
     """As in `wrong_rmw_test` of rosbag2, whose database says cdr and whose metadata.yaml does not."""

@@ -45,16 +45,6 @@ def test_the_course_has_the_extremes_of_what_it_shows(count, columns, part, seed
         assert course.low.min() >= around.min() and course.high.max() <= around.max()
 
 
-def test_one_sample_that_jumps_is_seen_in_the_longest_plot():
-    values = np.zeros(120_000)
-    values[23_456] = 7.0
-    history, time, _ = filled(len(values), values=values, parts=100)
-    course = history.course(time[0], time[0] + LONGEST, 800)
-    assert course.high.max() == 7.0 and np.count_nonzero(course.high) == 1
-    assert abs(course.time[np.argmax(course.high)] - time[23_456]) < 1.2 * LONGEST / 800
-    assert len(course.time) <= 802
-
-
 def test_the_longest_plot_is_there_at_1_khz_and_what_is_older_is_forgotten():
     history = History()
     for k in range(600):

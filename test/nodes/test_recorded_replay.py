@@ -96,7 +96,7 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage
     result = shadow.replay(recording.valves["valve"], {})
     # 1200 voltages were waited for once everything was recorded.
     assert result.faithful and len(result.voltage) > 1100
-    assert result.differing == 0, (result.first_difference, result.left_out)
+    assert result.differing == 0, (result.differences[:1], result.left_out)
     assert float(np.nanmax(np.abs(result.measurement))) > 0.5
     field = "positions[0]" if message == "trajectory" else "data"
     source = recording.valves["valve"].topics.sources["spool_command"]

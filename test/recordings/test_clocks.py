@@ -101,7 +101,7 @@ def test_several_publishers_on_one_topic_are_named(run, tmp_path):
 
 @pytest.mark.parametrize("hours", [-1.0, 0.5, 9.0])
 def test_a_part_of_a_recording_whose_publishers_are_hours_off(tmp_path, hours):
-    """--from, --to and what was in force at the beginning of the part are of the clock that counts."""
+    """--from and --to are times of recording; what was in force there is of the clock that counts."""
     made = Run(controller={"arc.k1": 120.0})
     made.move(1000)
     made.change(arc__k1=100.0)

@@ -65,26 +65,6 @@ def test_analysis_finds_parameters_changes_segments_and_estimates(run, tmp_path)
     assert valve["left_out"] == [] and about["left_out"] == []
 
 
-def test_two_valves_are_two_namespaces(tmp_path):
-    boom, arm = Run(namespace="/boom"), Run(2, namespace="/arm", controller={"controller": "oarc"})
-    boom.move(400)
-    arm.move(400)
-    loaded = load(write(tmp_path / "bag", boom.messages + arm.messages))
-    assert list(loaded.valves) == ["arm", "boom"]
-    result = analyze(loaded)
-    assert [v.controller for v in result.valves.values()] == ["oarc", "arc"]
-    assert np.array_equal(result.valves["boom"].signals.measurement, boom.readings)
-
-
-def test_a_part_of_the_time(run, tmp_path):
-    bag = write(tmp_path / "bag", run.messages)
-    part = align(load(bag, start=0.5, end=1.0).valves["valve"])
-    assert 498 <= len(part.time) <= 501
-    whole = np.array(run.readings)
-    first = int(np.flatnonzero(whole == part.measurement[0])[0])
-    assert np.array_equal(part.measurement, whole[first : first + len(part.time)])
-
-
 # Left out and said
 
 
@@ -168,19 +148,6 @@ def test_a_change_alone_is_not_taken_for_all_parameters(run, tmp_path):
     _, notes = said(bag)
     count = len(CONTROLLER)
     assert f"does not have {count} parameters of /controller from its beginning" in " ".join(notes)
-
-
-def test_a_little_disorder_is_sorted(run, tmp_path):
-    messages = list(run.messages)
-    where = [j for j, m in enumerate(messages) if m.topic == "/spool_position"]
-    a, b = where[500], where[501]
-    messages[a], messages[b] = (
-        messages[a]._replace(log_time=messages[b].log_time),
-        messages[b]._replace(log_time=messages[a].log_time),
-    )
-    result, notes = said(write(tmp_path / "bag", messages))
-    assert "out of order" in " ".join(notes)
-    assert np.array_equal(result.valves["valve"].signals.measurement, run.readings)
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])

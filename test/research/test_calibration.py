@@ -41,12 +41,6 @@ def test_finds_the_valve_that_made_the_table(problem):
         assert values[name] == pytest.approx(value, rel=0.02), name
 
 
-def test_same_seed_same_valve_with_one_process_or_two(problem):
-    one, two = (search.search(problem, 5, 700, 10, processes, lambda *_: None) for processes in (1, 2))
-    assert np.array_equal(one.point, two.point)
-    assert (one.cost, one.evaluations) == (two.cost, two.evaluations)
-
-
 def test_fit_of_a_table():
     table = {"pid": Indices(1.0, 1.0, 1.0, 1.0, 1.0), "arc": Indices(2.0, 0.5, np.nan, 1.0, 1.0)}
     same = objective.fit({name: [row] for name, row in table.items()}, table)

@@ -36,16 +36,6 @@ def test_unreshaped_commands_make_the_reference_the_wanted_motion():
         assert np.max(np.abs(np.array(reached) - wanted[:-2])) < 1e-9, name
 
 
-def test_tuned_gains_of_both_boxes_are_found_by_name():
-    for box in comparison.BOXES:
-        found = {setup.name: setup for setup in comparison.setups(TUNED, box, 0.25)}
-        assert {"dcarc", "pid_reference"} <= found.keys()
-        assert found["dcarc"].preview == 0.0
-        assert box == "wide" or found["pid_plain"].preview > 0.001
-        for name, setup in found.items():
-            assert setup.values["controller"] == name.split("_")[0]
-
-
 def test_errors_of_one_valve_are_those_of_its_own_run():
     """A setup a plant, as a batch of different laws' gains, against each one alone."""
     plants = batch.records(comparison.valves(3, 5, True))

@@ -22,9 +22,3 @@ def test_factors_of_the_paper():
     assert np.allclose(second.printed_on_fourth_order, (28.3, 20.5), atol=0.06)
     assert np.allclose(fourth.printed_on_fourth_order, (13.2, 13.0), atol=0.06)
     assert np.allclose(second.printed_on_second_order, (22.9, 18.7), atol=0.08)
-
-
-def test_the_print_says_what_agrees(capsys):
-    assert printed.main([]) == 0
-    out = capsys.readouterr().out
-    assert "157 rad/s with damping 0.8, twice, and 250 rad/s" in out and "13.14 Hz" in out

@@ -35,18 +35,15 @@ class Parser(argparse.ArgumentParser):
 INPUTS = ("params_file", "command", "source", "table", "bag", "bags", "config")  # options that name files
 
 
+def repeated(group: Any, option: str, metavar: str, text: str) -> None:
+    """Add an ``option`` that may be given several times, whose help is ``text``."""
+    group.add_argument(option, action="append", default=[], metavar=metavar, help=f"{text}; again for more")
+
+
 def parameter_options(group: Any, parameters: str) -> None:
     """Add --set for ``parameters``, as its help calls them, and --params-file."""
-    group.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help=f"{parameters}; again for more"
-    )
-    group.add_argument(
-        "--params-file",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="ROS 2 parameter file; again for more, later ones win; --set wins over files",
-    )
+    repeated(group, "--set", "NAME=VALUE", parameters)
+    repeated(group, "--params-file", "FILE", "ROS 2 parameter file; later ones win, --set wins over files")
 
 
 def check_outputs(
@@ -104,13 +101,7 @@ def check_search(seed: int, valves: int, unseen: int, budget: int) -> None:
 
 def fix_option(group: Any) -> None:
     """Add the option that takes quantities out of the box of a search or study."""
-    group.add_argument(
-        "--fix",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="quantity of the box that stays constant; again for more",
-    )
+    repeated(group, "--fix", "NAME", "quantity of the box that stays constant")
 
 
 def clock_option(group: Any) -> None:
@@ -134,21 +125,12 @@ def output_group(options: argparse.ArgumentParser, **files: str) -> Any:
 
 def bag_options(group: Any, sources: str = "as for analyze", of: bool = True) -> None:
     """Add what is used of a bag: --map with help on its ``sources``, --of, --from, --to and --clock."""
-    group.add_argument(
-        "--map",
-        action="append",
-        default=[],
-        metavar="PART=/TOPIC.FIELD",
-        help=f"{sources}; again for more",
-    )
+    repeated(group, "--map", "PART=/TOPIC.FIELD", sources)
     if of:
         group.add_argument("--of", metavar="VALVE", help="valve to read, if the bag has several")
-    group.add_argument(
-        "--from", dest="start", type=float, metavar="S", help="begin S seconds after the beginning of the bag"
-    )
-    group.add_argument(
-        "--to", dest="end", type=float, metavar="S", help="end S seconds after the beginning of the bag"
-    )
+    for option, name, word in (("--from", "start", "begin"), ("--to", "end", "end")):
+        text = f"{word} S seconds after the beginning of the bag"
+        group.add_argument(option, dest=name, type=float, metavar="S", help=text)
     clock_option(group)
 
 
@@ -209,12 +191,9 @@ def ended(program: str, task: str, work: Callable[[], int | None]) -> int:
         status = int(work() or 0)
         sys.stdout.flush()
         return status
-    except (ParameterError, BagError) as error:
+    except (ParameterError, BagError, LawError) as error:
         print(f"{program}: {error}", file=sys.stderr)
-        return 2
-    except LawError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 1
+        return 1 if isinstance(error, LawError) else 2
     except ModuleNotFoundError as error:
         print(
             f"{program}: {task} needs the Python package {error.name} (pip install {error.name})",

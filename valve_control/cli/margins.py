@@ -7,7 +7,7 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import check_outputs, write_json
+from valve_control.cli.common import check_outputs, output_group, repeated, write_json
 from valve_control.cli.simulate import settings_of, valve_options
 from valve_control.cli.study import box_of
 from valve_control.control.laws.registry import LAWS
@@ -37,14 +37,8 @@ def add_commands(commands: Any) -> None:
         action="store_true",
         help="also find the worst margins over the box of valves around this one",
     )
-    margins.add_argument(
-        "--fix",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="with --box: quantity that stays constant; again for more",
-    )
-    margins.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
+    repeated(margins, "--fix", "NAME", "with --box: quantity that stays constant")
+    output_group(margins)
     margins.set_defaults(run=_margins)
 
 

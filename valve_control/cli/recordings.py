@@ -16,10 +16,11 @@ from valve_control.cli.common import (
     check_outputs,
     deliver,
     output_group,
+    parameter_options,
+    repeated,
     say,
     tell_notes,
     write_json,
-    wrote,
 )
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import NODES
@@ -28,8 +29,7 @@ from valve_control.recordings.bags.errors import BagError
 
 if TYPE_CHECKING:
     from valve_control.recordings.analysis import ValveAnalysis
-    from valve_control.recordings.axis_analysis import Axis
-    from valve_control.recordings.recording import Aligned, Recording
+    from valve_control.recordings.recording import Recording
     from valve_control.recordings.report import Report
 
 
@@ -66,14 +66,10 @@ def add_commands(commands: Any) -> None:
         help="analyse a bag: sample rates, indices, estimates, spectra",
         description="Analyse a rosbag2 recording without ROS. Exit status 1 if an expectation is not met.",
     )
-    analyze.add_argument(
-        "--expect",
-        action="append",
-        default=[],
-        metavar="CONDITION",
-        help="condition that the results must meet, such as 'e_rms<0.02', 'boom.latency_s.p99<0.001', "
-        "'timing.spool_position.lost==0'; again for more",
-    )
+    repeated(
+        analyze, "--expect", "CONDITION", "condition that the results must meet, such as 'e_rms<0.02', "
+        "'boom.latency_s.p99<0.001', 'timing.spool_position.lost==0'",
+    )  # fmt: skip
     analyze.set_defaults(run=_analyze)
     _add_replay(commands, shared)
     bag = commands.add_parser("bag", help="finish a bag", description="Finish a bag.")
@@ -108,16 +104,7 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
     replay.add_argument("--of", metavar="VALVE", help="valve to replay, if the bag has several")
     group = replay.add_argument_group("shadow and what-if: instead of the recorded parameters")
     group.add_argument("--controller", choices=LAWS, help="control law")
-    group.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="a parameter; again for more"
-    )
-    group.add_argument(
-        "--params-file",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="ROS 2 parameter file; again for more",
-    )
+    parameter_options(group, "a parameter")
     replay.set_defaults(run=_replay)
 
 
@@ -134,30 +121,22 @@ def _load(arguments: argparse.Namespace, path: str, journals: bool = False) -> "
     return recording.load(path, maps, start, end, journals, arguments.clock)
 
 
-def _one_valve(arguments: argparse.Namespace, loaded: "Recording") -> "ValveAnalysis":
-    from valve_control.recordings.analysis import analyze
-    from valve_control.recordings.recording import chosen
-
-    return chosen(arguments.bag, analyze(loaded).valves, arguments.of)
-
-
 # Tasks
 
 
 def _analyze(arguments: argparse.Namespace) -> int:
-    from valve_control.recordings import analysis_report, expectations
+    from valve_control.recordings import analysis_report, axis_analysis, expectations
     from valve_control.recordings.analysis import analyze
 
     check_outputs(arguments, [arguments.csv, arguments.html])
     loaded = _load(arguments, arguments.bag)
     result = analyze(loaded)
-    report = analysis_report.of_bag(result, _axes(arguments, loaded))
+    ends = ((arguments.start, -math.inf), (arguments.end, math.inf))
+    part = (open_ if at is None else loaded.bag.begin + round(at * 1e9) for at, open_ in ends)
+    report = analysis_report.of_bag(result, axis_analysis.axes(loaded.bag, *part))
     outcomes = [o for text in arguments.expect for o in expectations.check(text, report.about["valves"])]
     report.about["expectations"] = [outcome._asdict() for outcome in outcomes]
-    csv_files = {
-        str(path): analysis_report.csv_text(signals)
-        for path, signals in _csv_files(arguments.csv, result.valves)
-    }
+    csv_files = _csv_files(arguments.csv, result.valves)
     check_outputs(arguments, [*csv_files, arguments.html])
     _deliver(arguments, report, csv_files)
     for outcome in outcomes:
@@ -166,34 +145,28 @@ def _analyze(arguments: argparse.Namespace) -> int:
     return 0 if all(outcome.met for outcome in outcomes) else 1
 
 
-def _axes(arguments: argparse.Namespace, loaded: "Recording") -> "dict[str, Axis]":
-    from valve_control.recordings import axis_analysis
+def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> dict[str, str]:
+    """Texts by path: one file, or one for each of several valves."""
+    from valve_control.recordings.analysis_report import csv_text
 
-    def log_time(seconds: float | None, otherwise: float) -> float:
-        return otherwise if seconds is None else loaded.bag.begin + round(seconds * 1e9)
-
-    return axis_analysis.axes(
-        loaded.bag, log_time(arguments.start, -math.inf), log_time(arguments.end, math.inf)
-    )
-
-
-def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> "list[tuple[Path, Aligned]]":
     if path is None:
-        return []
+        return {}
     usable = {name: valve.signals for name, valve in valves.items() if valve.signals is not None}
     if not usable:
         raise BagError("there is nothing for --csv: no valve has readings that can be aligned")
-    stem, one = Path(path), len(usable) == 1
-    return [
-        (stem if one else stem.with_name(f"{stem.stem}_{name.replace('/', '_')}{stem.suffix}"), signals)
-        for name, signals in usable.items()
-    ]
+    if len(usable) == 1:
+        return {path: csv_text(*usable.values())}
+    stem, ending = Path(path).with_suffix(""), Path(path).suffix
+    return {f"{stem}_{name.replace('/', '_')}{ending}": csv_text(s) for name, s in usable.items()}
 
 
 def _replay(arguments: argparse.Namespace) -> int:
+    from valve_control.recordings.analysis import analyze
+    from valve_control.recordings.recording import chosen
+
     check_outputs(arguments, [arguments.csv, arguments.html])
     loaded = _load(arguments, arguments.bag, journals=arguments.mode == "shadow")
-    valve = _one_valve(arguments, loaded)
+    valve = chosen(arguments.bag, analyze(loaded).valves, arguments.of)
     valve = valve._replace(left_out=[*loaded.problems, *valve.left_out])
     report = (_replay_shadow if arguments.mode == "shadow" else _replay_what_if)(arguments, valve)
     csv_files = {} if arguments.csv is None else {arguments.csv: outputs.csv_text(report.columns, "%.17g")}
@@ -258,21 +231,15 @@ def _deliver(arguments: argparse.Namespace, report: "Report", csv_files: Mapping
 
 
 def compare_bags(arguments: argparse.Namespace) -> None:
-    """Print and draw the indices and overlaid runs of several bags."""
+    """Report the indices and overlaid runs of several bags."""
     from valve_control.recordings import comparison
     from valve_control.recordings.analysis import analyze
 
-    check_outputs(arguments, [arguments.html], [arguments.figure])
+    check_outputs(arguments, [arguments.html])
     runs = []
     for path in arguments.bags:
         runs += comparison.runs(path, analyze(_load(arguments, path)))
-    if arguments.figure is not None and all(run.signals is None for run in runs):
-        raise BagError("there is nothing for --figure: no run has readings that can be aligned")
-    report = comparison.report(runs)
-    if arguments.figure is not None:
-        comparison.draw(Path(arguments.figure), runs)
-        wrote(arguments, arguments.figure)
-    _deliver(arguments, report, {})
+    _deliver(arguments, comparison.report(runs), {})
 
 
 def _recover(arguments: argparse.Namespace) -> int:

@@ -19,6 +19,7 @@ from valve_control.cli.common import (
     deliver,
     output_group,
     parameter_options,
+    repeated,
     tell_notes,
     write_json,
     wrote,
@@ -35,8 +36,9 @@ if TYPE_CHECKING:
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
 SIMULATED = (
     "valve", "scenario", "command", "sample_period", "duration", "seed", "command_period", "command_jitter",
-    "command_drift", "set", "params_file",
+    "command_drift", "set", "params_file", "figure",
 )  # fmt: skip
+FIGURE = "command, position, error and voltage as PNG or SVG"
 LONG = 5_000_000  # samples from which on a run shows its progress
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
@@ -77,34 +79,15 @@ def delivery_options(points: bool = True) -> Parser:
     """Parser with the options that say how the commands come; ``points``: also as a trajectory."""
     options = Parser(add_help=False)
     group = options.add_argument_group("delivery of the commands")
-    group.add_argument(
-        "--command-period",
-        type=float,
-        metavar="S",
-        help="time from one command to the next (one sample period)",
-    )
-    group.add_argument(
-        "--command-jitter",
-        type=float,
-        metavar="S",
-        help="a command takes between 0 and twice this time to the controller (0)",
-    )
-    group.add_argument(
-        "--command-drift",
-        type=float,
-        metavar="PPM",
-        help="difference between the clocks of upper level and samples [ppm] (0)",
-    )
+    for name, unit, text in (
+        ("period", "S", "time from one command to the next (one sample period)"),
+        ("jitter", "S", "a command takes between 0 and twice this time to the controller (0)"),
+        ("drift", "PPM", "difference between the clocks of upper level and samples [ppm] (0)"),
+    ):
+        group.add_argument(f"--command-{name}", type=float, metavar=unit, help=text)
     if points:
         text = "the command is known ahead: points of a trajectory, with rate and acceleration"
         group.add_argument("--preview", action="store_true", help=text)
-    return options
-
-
-def output_options() -> Parser:
-    """Parser with the options that say what is written."""
-    options = Parser(add_help=False)
-    output_group(options, figure="command, position, error and voltage as PNG or SVG")
     return options
 
 
@@ -113,26 +96,25 @@ def add_commands(commands: Any) -> None:
     setup = setup_options()
     simulate = commands.add_parser(
         "simulate",
-        parents=[setup, delivery_options(), output_options()],
+        parents=[setup, delivery_options()],
         help="run one controller on one valve with one command",
         description="Run one controller on one simulated valve; print the indices I1-I5 of the paper.",
     )
     simulate.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
-    simulate.add_argument("--csv", metavar="FILE", help="traces as CSV")
-    simulate.add_argument("--npz", metavar="FILE", help="traces as NPZ")
+    output_group(simulate, figure=FIGURE, csv="traces as CSV", npz="traces as NPZ")
     simulate.set_defaults(run=_simulate)
     compare = commands.add_parser(
         "compare",
-        parents=[setup, delivery_options(), output_options()],
+        parents=[setup, delivery_options()],
         help="compare several bags, or simulate all controllers beside the paper's Table 1",
         description="Compare the runs in several bags. Without a bag: run every controller on one valve and "
         "one command, beside the paper's Table 1.",
     )
     compare.add_argument("bags", nargs="*", metavar="BAG", help="bags to compare")
-    compare.add_argument("--html", metavar="FILE", help="bags: tables and overlaid figures as one HTML page")
-    compare.add_argument(
-        "--map", action="append", default=[], metavar="PART=/TOPIC.FIELD", help="bags: as for analyze"
+    output_group(
+        compare, figure=f"simulation: {FIGURE}", html="bags: tables and overlaid figures as one HTML page"
     )
+    repeated(compare, "--map", "PART=/TOPIC.FIELD", "bags: as for analyze")
     clock_option(compare)
     compare.set_defaults(run=_compare)
     parameters = commands.add_parser("parameters", help="list parameters with unit, range and meaning")

@@ -254,44 +254,28 @@ def _parts(
                 segment = Segment("parameters", f"after change {i}" if i else "before changes", start, end)
                 segments.append((segment, "; ".join(since)))
                 since = []
-    return [_part(signals, segment, text, name, changes, period, modes) for segment, text in segments]
 
+    def part(segment: Segment, change: str) -> Part:
+        whole = segment_indices(signals, segment, period)
+        time_in: dict[str, float] = {}
+        kept = [whole, whole]
+        if modes is not None:
+            inside = modes[segment.start : segment.end]
+            lasts = np.diff(np.append(signals.time, signals.time[-1] + period))[segment.start : segment.end]
+            others = [mode for mode in Mode if mode is not Mode.OK and np.any(inside == mode)]
+            time_in = {mode.name.lower(): float(np.sum(lasts[inside == mode])) for mode in others}
+            if time_in:
+                least = (Mode.DEGRADED, Mode.OK)
+                kept = [segment_indices(signals, segment, period, inside <= mode) for mode in least]
+        stamp, start = signals.stamp[segment.start], float(signals.time[segment.start])
+        laws = [c.values["controller"] for c in changes if c.time <= stamp and "controller" in c.values]
+        law = str(laws[-1]) if laws else name
+        return Part(
+            segment.kind, segment.name, start, float(signals.time[segment.end - 1]),
+            segment.end - segment.start, law or None, change or None, whole, time_in, *kept,
+        )  # fmt: skip
 
-def _part(
-    signals: Aligned,
-    segment: Segment,
-    change: str,
-    name: str,
-    changes: list[Change],
-    period: float,
-    modes: npt.NDArray[np.int64] | None,
-) -> Part:
-    whole = segment_indices(signals, segment, period)
-    time_in: dict[str, float] = {}
-    kept = [whole, whole]
-    if modes is not None:
-        inside = modes[segment.start : segment.end]
-        times = signals.time[segment.start : segment.end + 1]
-        if segment.end == len(signals.time):
-            times = np.append(times, times[-1] + period)
-        lasts = np.diff(times)
-        others = [mode for mode in Mode if mode is not Mode.OK and np.any(inside == mode)]
-        time_in = {mode.name.lower(): float(np.sum(lasts[inside == mode])) for mode in others}
-        if time_in:
-            kept = [segment_indices(signals, segment, period, inside <= m) for m in (Mode.DEGRADED, Mode.OK)]
-    law = _law_at(name, changes, int(signals.stamp[segment.start]))
-    start, end = float(signals.time[segment.start]), float(signals.time[segment.end - 1])
-    return Part(
-        segment.kind, segment.name, start, end, segment.end - segment.start, law or None, change or None,
-        whole, time_in, *kept,
-    )  # fmt: skip
-
-
-def _law_at(name: str, changes: list[Change], stamp: int) -> str:
-    for change in changes:
-        if change.time <= stamp and "controller" in change.values:
-            name = str(change.values["controller"])
-    return name
+    return [part(segment, text) for segment, text in segments]
 
 
 def change_text(change: Change) -> str:

@@ -54,7 +54,7 @@ def of_bag(analysis: Analysis, axes: Mapping[str, Axis]) -> report.Report:
         sections.update(_valve_sections(name, valve))
     sections.update({f"axis {name or '/'}": axis_analysis.pieces(axis) for name, axis in axes.items()})
     if axes:
-        about["axes"] = {name: axis_analysis.as_dict(axis) for name, axis in axes.items()}
+        about["axes"] = report.plain(axes)
     return report.Report(f"{Path(str(bag['path'])).name}: valve report", about, sections)
 
 

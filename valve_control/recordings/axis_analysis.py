@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Analyses the axes in a bag: tracking error and pressures."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,15 +17,15 @@ NANO = 10**9
 
 
 class Axis(NamedTuple):
-    """What was recorded of one axis, in m and Pa; NaN where nothing is known."""
+    """What was recorded of one axis, as in JSON; NaN where nothing is known."""
 
     readings: int  # with a goal
-    duration: float  # s
-    e_rms: float
-    e_max: float
-    e_end: float  # largest in the last second
-    speed_max: float  # m/s  of the goal
-    pressures: dict[str, tuple[float, float]]  # lowest and highest, by room
+    duration_s: float
+    e_rms_m: float
+    e_max_m: float
+    e_end_m: float  # largest in the last second
+    speed_max_m_s: float  # of the goal
+    pressures_Pa: dict[str, tuple[float, float]]  # lowest and highest, by room
     left_out: list[str]
 
 
@@ -93,12 +93,12 @@ def _axis(bag: Bag, space: str, start: float, end: float) -> Axis:
     last = moment >= (moment[-1] - NANO) if len(moment) else np.empty(0, dtype=bool)
     return Axis(
         readings=len(error),
-        duration=float(moment[-1] - moment[0]) / NANO if len(moment) else 0.0,
-        e_rms=float(np.sqrt(np.mean(error**2))) if len(error) else np.nan,
-        e_max=float(np.max(np.abs(error), initial=0.0)) if len(error) else np.nan,
-        e_end=float(np.max(np.abs(error[last]))) if len(error) else np.nan,
-        speed_max=float(np.nanmax(np.abs(speed))) if np.isfinite(speed).any() else np.nan,
-        pressures={
+        duration_s=float(moment[-1] - moment[0]) / NANO if len(moment) else 0.0,
+        e_rms_m=float(np.sqrt(np.mean(error**2))) if len(error) else np.nan,
+        e_max_m=float(np.max(np.abs(error), initial=0.0)) if len(error) else np.nan,
+        e_end_m=float(np.max(np.abs(error[last]))) if len(error) else np.nan,
+        speed_max_m_s=float(np.nanmax(np.abs(speed))) if np.isfinite(speed).any() else np.nan,
+        pressures_Pa={
             room: (float(np.nanmin(values)), float(np.nanmax(values)))
             for room, (_, values) in pressures.items()
             if np.isfinite(values).any()
@@ -107,29 +107,15 @@ def _axis(bag: Bag, space: str, start: float, end: float) -> Axis:
     )
 
 
-def as_dict(axis: Axis) -> dict[str, Any]:
-    """For JSON."""
-    return {
-        "readings": axis.readings,
-        "duration_s": axis.duration,
-        "e_rms_m": axis.e_rms,
-        "e_max_m": axis.e_max,
-        "e_end_m": axis.e_end,
-        "speed_max_m_s": axis.speed_max,
-        "pressures_Pa": {room: list(extremes) for room, extremes in axis.pressures.items()},
-        "left_out": axis.left_out,
-    }
-
-
 def pieces(axis: Axis) -> list[Piece]:
-    """The same for a report."""
+    """The results for a report."""
     return [
-        f"{axis.readings} readings over {axis.duration:.3f} s, "
-        f"e_rms {1e3 * axis.e_rms:.4f} mm, e_max {1e3 * axis.e_max:.4f} mm, "
-        f"at the end {1e3 * axis.e_end:.4f} mm, up to {axis.speed_max:.3g} m/s",
+        f"{axis.readings} readings over {axis.duration_s:.3f} s, "
+        f"e_rms {1e3 * axis.e_rms_m:.4f} mm, e_max {1e3 * axis.e_max_m:.4f} mm, "
+        f"at the end {1e3 * axis.e_end_m:.4f} mm, up to {axis.speed_max_m_s:.3g} m/s",
         *(
             f"{room}: {1e-5 * low:.4g} to {1e-5 * high:.4g} bar"
-            for room, (low, high) in axis.pressures.items()
+            for room, (low, high) in axis.pressures_Pa.items()
         ),
         Notes(axis.left_out),
     ]

@@ -93,34 +93,26 @@ def decide(
     speed = _speed(longest)
     offset = float(np.median(longest.publish_time - longest.log_time)) * 1e-9
     apart = abs(speed - 1.0) > SAME_SPEED or abs(offset) > SMALL_DISORDER
-    lacking = [
-        name
-        for name in names
-        if same[name] == 1.0 or (same[name] > MISSING and not shared(series[name].log_time))
-    ]
-    backwards = [name for name in names if _goes_back(series[name])]
-    coarse = [n for n in names if shared(series[n].publish_time) and not shared(series[n].log_time)]
-    if lacking:
-        reason = f"messages of {', '.join(lacking)} have no source times"
-    elif backwards:
-        reason = f"source times go backwards on {', '.join(backwards)}"
-    elif abs(speed - 1.0) > SAME_SPEED:
-        reason = (
-            f"the clocks run at different speeds (publish_time goes on by {speed:.4g} s in each second of "
-            "log_time)"
-        )
-    elif coarse:
-        reason = f"source times are shared by messages of {', '.join(coarse)}"
-    else:
-        reason = next(filter(None, (_differing(series, group) for group in groups)), "")
+    fine = {name: not shared(series[name].log_time) for name in names}
+    lacking = [n for n in names if same[n] == 1.0 or (same[n] > MISSING and fine[n])]
+    back = {n: [len(leaps(time, series[n].sequence)) for time in series[n][:2]] for n in names}
+    backwards = [n for n in names if back[n][1] > back[n][0]]
+    coarse = [n for n in names if shared(series[n].publish_time) and fine[n]]
+    faults = (
+        f"messages of {', '.join(lacking)} have no source times" if lacking else "",
+        f"source times go backwards on {', '.join(backwards)}" if backwards else "",
+        "the clocks run at different speeds (publish_time goes on by "
+        f"{speed:.4g} s in each second of log_time)"
+        if abs(speed - 1.0) > SAME_SPEED
+        else "",
+        f"source times are shared by messages of {', '.join(coarse)}" if coarse else "",
+        *(_differing(series, group) for group in groups),
+    )
+    reason = next(filter(None, faults), "")
     if wanted == "log" or (reason and wanted != "publish"):
         note = f"{reason}; times of recording are used (log_time; --clock publish takes the others)"
         return Clock("log_time", (note,) if reason else ())
     return Clock("publish_time", (f"{reason}; publish_time is used",) if reason else (), apart)
-
-
-def _goes_back(one: Series) -> bool:
-    return len(leaps(one.publish_time, one.sequence)) > len(leaps(one.log_time, one.sequence))
 
 
 def _differing(series: Mapping[str, Series], group: Sequence[str]) -> str:

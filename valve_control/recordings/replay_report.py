@@ -27,7 +27,7 @@ def of_shadow(result: Shadow, bag: str, valve: str) -> Report:
     """Report of a shadow replay."""
     both = np.isfinite(result.recorded)
     difference = result.voltage[both] - result.recorded[both]
-    first = result.first_difference
+    times = result.time[result.differences]
     efforts = {"recorded": _effort(result.recorded), "shadow": _effort(result.voltage)}
     about = {
         "bag": bag,
@@ -39,7 +39,7 @@ def of_shadow(result: Shadow, bag: str, valve: str) -> Report:
         "compared": int(np.count_nonzero(both)),
         "differing": result.differing,
         "bit_equal": bool(np.any(both)) and result.differing == 0,
-        "first_difference_s": None if first is None else float(result.time[first]),
+        "first_difference_s": float(times[0]) if len(times) else None,
         "difference_max_V": float(np.max(np.abs(difference))) if len(difference) else None,
         "difference_rms_V": rms(difference) if len(difference) else None,
         **efforts,
@@ -47,7 +47,7 @@ def of_shadow(result: Shadow, bag: str, valve: str) -> Report:
     }
     if about["bit_equal"]:
         outcome = f"all {about['compared']} recorded voltages are the shadow's, bit for bit"
-    elif first is not None:
+    elif len(times):
         outcome = (
             f"{about['differing']} of {about['compared']} voltages differ, the first at "
             f"{about['first_difference_s']:.3f} s; by at most {about['difference_max_V']:.4g} V, "

@@ -107,11 +107,10 @@ def _element(piece: Piece) -> str:
 
 def index_table(rows: Sequence[tuple[str, str, Indices, str]], most: int | None = None) -> Table:
     """Table of indices: name, law, I1-I5, remark."""
-    return Table(
-        ["", "law", "e_M [V]", "e_F [V]", "e_rms [V]", "u_rms [V]", "c_u", ""],
-        [(name, law, *(f"{value:.4f}" for value in values), remark) for name, law, values, remark in rows],
-        most,
-    )
+    head = ["", "law", "e_M [V]", "e_F [V]", "e_rms [V]", "u_rms [V]", "c_u", ""]
+    form = "{:.4f} {:.4f} {:.4f} {:.3f} {:.4f}"
+    cells = [(name, law, *form.format(*v).split(), remark) for name, law, v, remark in rows]
+    return Table(head, cells, most)
 
 
 def plots_of(time: Floats, plots: Mapping[str, Sequence[tuple[str, Floats, str]]]) -> list[Plot]:

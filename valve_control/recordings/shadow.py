@@ -49,15 +49,14 @@ class Shadow(NamedTuple):
     left_out: list[str]
 
     @property
-    def differing(self) -> int:
-        """Number of samples whose voltages differ, by any bit."""
-        return int(np.count_nonzero(np.isfinite(self.recorded) & (self.voltage != self.recorded)))
+    def differences(self) -> Integers:
+        """Indices of the samples whose voltages differ, by any bit."""
+        return np.flatnonzero(np.isfinite(self.recorded) & (self.voltage != self.recorded))
 
     @property
-    def first_difference(self) -> int | None:
-        """Index of the first of them."""
-        where = np.flatnonzero(np.isfinite(self.recorded) & (self.voltage != self.recorded))
-        return int(where[0]) if len(where) else None
+    def differing(self) -> int:
+        """Number of these samples."""
+        return len(self.differences)
 
 
 def replay(

@@ -7,8 +7,8 @@ from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 import yaml
-from rosbags.interfaces import Qos, QosTime
-from rosbags.rosbag2.metadata import parse_qos
+from rosbags.interfaces import Qos
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from valve_control import inputs, outputs
 from valve_control.recordings.bags.errors import BagError, refuse_pointer
@@ -18,8 +18,6 @@ NAME = "metadata.yaml"
 VERSION = 9
 ROOT = "rosbag2_bagfile_information"
 DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-POLICIES = ("history", "reliability", "durability", "liveliness")
 
 
 class Listing(NamedTuple):
@@ -36,31 +34,22 @@ class Listing(NamedTuple):
 # Writing
 
 
+def as_text(tree: Any) -> str:
+    """YAML text as storage files contain it."""
+    text: str = yaml.dump(
+        tree, Dumper=DUMPER, sort_keys=False, default_flow_style=False, width=10**6, allow_unicode=True
+    )
+    return text.strip()
+
+
 def qos_text(profiles: Sequence[Qos]) -> str:
-    """QoS profiles as the YAML text that storage files contain."""
-    return _dump([_qos_tree(qos) for qos in profiles]).strip() if profiles else ""
-
-
-def as_text(tree: dict[str, Any]) -> str:
-    """YAML text of version 9 without its root key, as storage files contain it."""
-    return _dump(tree).strip()
+    """QoS profiles as YAML text, "" for none."""
+    return as_text(dump_qos_v9(list(profiles))) if profiles else ""
 
 
 def write(folder: Path, tree: dict[str, Any]) -> None:
     """Write metadata.yaml of version 9 into ``folder``, whole or not at all. Raises OSError."""
-    outputs.write(str(folder / NAME), _dump({ROOT: tree}))
-
-
-def _dump(tree: Any) -> str:
-    text: str = yaml.dump(
-        tree, Dumper=DUMPER, sort_keys=False, default_flow_style=False, width=10**6, allow_unicode=True
-    )
-    return text
-
-
-def _qos_tree(qos: Qos) -> dict[str, Any]:
-    times = {name: value._asdict() for name, value in qos._asdict().items() if isinstance(value, QosTime)}
-    return qos._asdict() | {name: getattr(qos, name).name.lower() for name in POLICIES} | times
+    outputs.write(str(folder / NAME), as_text({ROOT: tree}) + "\n")
 
 
 def of_file(
@@ -71,7 +60,7 @@ def of_file(
     ``topics``: each with the number of its messages.
     """
     counted = list(topics)
-    extent = {
+    extent: dict[str, Any] = {
         "starting_time": {"nanoseconds_since_epoch": begin},
         "duration": {"nanoseconds": end - begin},
         "message_count": sum(count for _, count in counted),
@@ -79,9 +68,7 @@ def of_file(
     return {
         "version": VERSION,
         "storage_identifier": storage,
-        "duration": extent["duration"],
-        "starting_time": extent["starting_time"],
-        "message_count": extent["message_count"],
+        **extent,
         "topics_with_message_count": [
             {
                 "topic_metadata": {

@@ -9,7 +9,7 @@ from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 from rosbags.interfaces import Qos
 
@@ -43,14 +43,6 @@ def _storage(name: str, path: Path, compression: str) -> "SqliteStorage | McapSt
     return McapStorage(path, compression)
 
 
-class _Extent(NamedTuple):
-    """What of the file was written, or flushed."""
-
-    counts: Counter[str]
-    begin: int  # ns
-    end: int  # ns
-
-
 class BagWriter:
     """Writes a new bag into ``folder``. Each method raises BagError, after which the bag is closed."""
 
@@ -61,7 +53,7 @@ class BagWriter:
         self._topics: dict[str, Topic] = {}
         self.counts: Counter[str] = Counter()  # messages so far by topic, flushed or not
         self._begin = self._end = 0  # ns
-        self._flushed = _Extent(Counter(), 0, 0)
+        self._flushed = (Counter[str](), 0, 0)  # counts, begin, end of what was flushed
         try:
             folder.mkdir(parents=True)
         except FileExistsError:
@@ -125,7 +117,7 @@ class BagWriter:
             self._storage.flush()
         except (OSError, sqlite3.Error) as error:
             self._fail(error)
-        self._flushed = _Extent(self.counts.copy(), self._begin, self._end)
+        self._flushed = (self.counts.copy(), self._begin, self._end)
 
     def check_place(self) -> None:
         """Raise BagError, after which the bag is closed, if the file that is being written is not there."""
