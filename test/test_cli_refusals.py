@@ -71,7 +71,7 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
         (["compare", "a", "b", "--command-drift", "50"], ["--command-drift", "for simulation"]),
         (["compare", "a", "b", "--figure", "x.png"], ["--figure", "for simulation"]),
         (["identify", "--set", "valve=second_order", "--order", "4", *QUICK], ["not support", "--order 2"]),
-        (["simulate", "--command", "/dev/zero"], ["device"]),
+        (["simulate", "--command", "/dev/zero"], ["it is no file"]),
         (["study", "--threads", "10000"], ["10000", "cores"]),
         (["tune", "--controller", "all,pid", "--output", "x.yaml"], ["all,pid", "all stands alone"]),
         (["tune", "--controller", "arc, all", "--output", "x.yaml"], ["all stands alone"]),
