@@ -33,6 +33,8 @@ EXPLAINED = 0.1  # relative error that noise does not explain up to which bounds
 EXCITED = 0.02  # ... or usual relative uncertainty of a test that tells the response well
 MISSED = 0.5  # of the response, rms, likewise
 UNSURE = 0.1  # relative uncertainty from which on a frequency tells nothing of a corner
+UNSTABLE = 3.0  # times the error of unstable poles that stable ones may have
+WIDEST = 14.0  # logarithm of a factor's coefficient over the scale
 ROUNDS = 30  # of the start's iteration
 ROUNDS_OF_ERROR = 4
 LEAST_DAMPING = 1e-3
@@ -95,17 +97,31 @@ class _Form(NamedTuple):
         high = math.sqrt(float(np.sum((distance / size) ** 2)) / free)  # of a measurement without noise
         return float(scipy.optimize.brentq(excess, 0.0, high * (1.0 + 1e-9), xtol=1e-12))
 
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of steps that the search takes back
-    def minimised(self, start: Floats, weight: Floats, latest: float) -> tuple[Floats, Floats]:
-        """The unknowns from ``start`` on that make the weighted errors least, and the errors' Jacobian."""
-        low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
+    def weighted(self, x: Floats, weight: Floats) -> Floats:
+        """Real and imaginary parts of the weighted errors."""
+        return (self.errors(x) * weight).view(np.float64)
+
+    def stable(self, y: Floats) -> Floats:
+        """The unknowns of numerator over static denominator, logarithms of stable factors, and dead time."""
+        n, end = self.zeros + 1, len(y) - self.delayed
+        below = np.ones(1)
+        for i in range(n, end, 2):
+            below = np.polymul(below, np.append(1.0, np.exp(y[i : min(i + 2, end)])))
+        return np.concatenate([y[:n] * below[-1], below[1:], y[end:]])
+
+    def minimised(self, start: Floats, weight: Floats, latest: float) -> Floats:
+        """The unknowns from ``start`` on that make the weighted errors least; dead time up to ``latest``."""
+        n, end = self.zeros + 1, len(start) - self.delayed
+        y = np.concatenate([start[:n] / start[end - 1], _factors(start[n:end]), start[end:]])
+        low, high = np.full(len(y), -np.inf), np.full(len(y), np.inf)
+        low[n:end], high[n:end] = -WIDEST, WIDEST
         if self.delayed:
             widest = max(self.measured.period, WIDEST_DELAY / self.measured.frequency[0])
             low[-1], high[-1] = 0.0, min(widest, latest) / self.measured.period
         try:
             search = scipy.optimize.least_squares(
-                lambda x: (self.errors(x) * weight).view(np.float64),
-                np.clip(start, low + 1e-9, high - 1e-9),
+                lambda y: self.weighted(self.stable(y), weight),
+                np.clip(y, low + 1e-9, high - 1e-9),
                 bounds=(low, high),
                 x_scale="jac",
                 xtol=1e-12,
@@ -115,7 +131,22 @@ class _Form(NamedTuple):
             )
         except (ValueError, np.linalg.LinAlgError) as error:
             raise ParameterError(f"no model of this order fits the response: {error}") from error
-        return search.x, search.jac
+        return self.stable(search.x)
+
+
+def _factors(below: Floats) -> Floats:
+    """Logarithms of the factors of a stable denominator, whose coefficients behind the leading 1 are given.
+
+    Those of the second degree come first, of pairs of poles; real ones are paired as they are near.
+    """
+    poles = np.asarray(np.roots(np.append(1.0, below)), dtype=np.complex128)
+    pairs = [p for p in poles if p.imag > 1e-12 * abs(p)]
+    real = sorted((-p.real for p in poles if abs(p.imag) <= 1e-12 * abs(p)), reverse=True)
+    factors = [(-2.0 * p.real, abs(p) ** 2) for p in pairs]
+    while len(real) >= 2:
+        first, second = real.pop(), real.pop()
+        factors.append((first + second, first * second))
+    return np.log([c for pair in sorted(factors, key=lambda pair: pair[1]) for c in pair] + real)
 
 
 def fit(
@@ -129,21 +160,27 @@ def fit(
     come from the Jacobian. Raises ParameterError if there are too few frequencies, or no model fits.
     """
     zeros = max(0, order - 2) if zeros is None else zeros
-    form, x = _start(measured, order, zeros, delayed)
+    form, x, free_error = _start(measured, order, zeros, delayed)
     size = np.abs(measured.value)
     weight = 1.0 / size
     for _ in range(1 + ROUNDS_OF_ERROR):
-        x, jacobian = form.minimised(x, weight, latest)
+        x = form.minimised(x, weight, latest)
         model_error = form.model_error(x)
         weight = 1.0 / np.hypot(measured.deviation, model_error * size)
     model, delay = form.model(x)
     _check_poles(model, order, measured.frequency)
-    inverse = np.linalg.pinv(jacobian)
+    distance = np.abs(form.errors(x))
+    error = float(np.sqrt(np.mean((distance / size) ** 2)))
+    if error > UNSTABLE * free_error:
+        raise ParameterError(
+            f"the fit of order {order} is unstable: poles to the right miss the response by "
+            f"{100.0 * free_error:.2g} %, stable ones by {100.0 * error:.2g} %"
+        )
+    inverse = np.linalg.pinv(scipy.optimize.least_squares(form.weighted, x, args=(weight,), max_nfev=1).jac)
     quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, 2 * len(size) - len(x))))
     # The relative error of the static gain b0/a0 is that of b0 less that of a0.
     b0, a0 = inverse[zeros] / x[zeros], inverse[zeros + order] / x[zeros + order]
     names = [f"b{i}" for i in range(zeros, -1, -1)] + [f"a{i}" for i in range(order - 1, -1, -1)]
-    distance = np.abs(form.errors(x))
     misfit = float(np.sum((distance * weight) ** 2 - 4.0 * np.log(weight)))
     return Fit(
         order=order,
@@ -153,7 +190,7 @@ def fit(
         values=x * form.units,
         bounds=quantile * np.linalg.norm(inverse, axis=1) * form.units,
         gain_bound=quantile * abs(model.static_gain) * float(np.linalg.norm(b0 - a0)),
-        error=float(np.sqrt(np.mean((distance / size) ** 2))),
+        error=error,
         model_error=model_error,
         corners=model_corners(model, delay),
         bounded=model_error <= EXPLAINED or float(np.median(measured.deviation / size)) <= EXCITED,
@@ -238,10 +275,11 @@ def hold(frequency: Floats, period: float) -> Complexes:
     return value
 
 
-def _start(measured: Response, order: int, zeros: int, delayed: bool) -> tuple[_Form, Floats]:
+def _start(measured: Response, order: int, zeros: int, delayed: bool) -> tuple[_Form, Floats, float]:
     """Linear least squares for each of several delays; the nearest is where the search begins.
 
-    What lies to the right is mirrored to the left. Raises ParameterError if there are too few frequencies.
+    What lies to the right is mirrored to the left; then the relative error before it is last, else infinity.
+    Raises ParameterError if there are too few frequencies.
     """
     size, count = np.abs(measured.value), order + zeros + 1 + delayed
     if len(size) < count // 2 + 1:
@@ -255,14 +293,15 @@ def _start(measured: Response, order: int, zeros: int, delayed: bool) -> tuple[_
     delays = DELAY_STEP / measured.frequency[-1] * np.arange(DELAYS if delayed else 1)
     s = np.asarray(1j * omega / scale, dtype=np.complex128)
     tried = [(*_linear(value * np.exp(1j * omega * t), s, order, zeros, size), float(t)) for t in delays]
-    _, numerator, below, delay = min(tried, key=lambda attempt: attempt[0])
+    error, numerator, below, delay = min(tried, key=lambda attempt: attempt[0])
     poles = np.asarray(np.roots(below), dtype=np.complex128)
     left = np.poly(-np.maximum(np.abs(poles.real), 1e-3 * np.abs(poles)) + 1j * poles.imag).real
     powers = np.concatenate([np.arange(order - zeros, order + 1.0), np.arange(1.0, order + 1.0)])
     units, x = scale**powers, np.concatenate([numerator * left[-1] / below[-1], left[1:]])
     if delayed:
         units, x = np.append(units, measured.period), np.append(x, max(0.05, delay / measured.period))
-    return _Form(zeros, delayed, measured, units), x
+    unstable = math.sqrt(error / len(size)) if np.any(poles.real > 0.0) else math.inf
+    return _Form(zeros, delayed, measured, units), x, unstable
 
 
 def _linear(
