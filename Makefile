@@ -39,7 +39,7 @@ $(DEV): $(STAMP) requirements-dev.txt
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements-dev.txt
 	@touch $@
 
-demo: $(STAMP)  ## the cascade over DDS with the gains of the paper and tuned ones; figure in out/
+demo: $(STAMP)  ## a slow, sticky valve and the paper's valve over DDS, under each law; figures in out/
 	@$(PYTHON) -m research.campaigns.demo $(ARGS)
 
 faults: $(DEV)  ## fault campaign over DDS: reaction times, out/faults.json (about 9 min)

@@ -63,6 +63,20 @@ def test_a_kick_after_a_late_voltage_is_the_machine_and_any_other_the_gains():
     assert np.array_equal(gains.steady(whole), gains.steady(quiet)) and np.mean(~gains.steady(quiet)) == 0.1
 
 
+def test_two_runs_are_compared_where_both_were_in_time():
+    """New gains with five times the error everywhere: the run of each hides its worst part, or its best."""
+    at = np.arange(len(WANTED))
+    error = np.where(at < 600, 0.010, 0.001)
+    new = Record(PERIOD, WANTED + 5.0 * error, WANTED, WANTED, late=(at < 600) & (at % 100 == 0))
+    old = Record(PERIOD, WANTED + error, WANTED, WANTED, late=(at >= 1400) & (at % 100 == 0))
+    made = verification((0.01, 0.1), (0.005, 0.1))._replace(record=new, measured=gains._indices(new))
+    assert made.measured.e_rms < gains._indices(old).e_rms
+    (reason,) = gains.against(PLAN, made, old).reasons
+    assert reason == "on the running valve the parameters from before do better, 1 mV rms instead of 5 mV"
+    assert not gains.against(PLAN, made, old._replace(late=np.ones_like(old.late))).reasons
+    assert "late messages reach 35% of the verification run" in gains.about_late(new)[0]
+
+
 @pytest.mark.parametrize(("before", "stable"), [({}, False), ({"controller": "open_loop"}, True)])
 def test_gains_that_swing_in_simulation_are_not_tried_on_the_valve(before, stable):
     """Also where the model is doubted: saturated, a run stays finite whatever the loop does."""

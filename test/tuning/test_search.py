@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from valve_control.control.laws import reshaping
 from valve_control.control.laws.free import DIGITS, one, placed, present
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
@@ -48,6 +49,17 @@ def test_all_that_may_be_chosen_can_be_built(law):
                 rounding = 0.0 if free.unit is one else 10.0 ** (1 - DIGITS)
                 assert present(free, there) == pytest.approx(number, rel=rounding, abs=0.0)
                 assert there != values or present(free, values) == present(free, there)
+
+
+def test_a_known_motion_is_followed_without_lag():
+    """Preview inverts the reshaping: the reference is the wanted motion."""
+    p, law = problem("dcarc", preview=True), LAWS["dcarc"]
+    sent = trial.Loops(law, p, [GainSet({}, 0.0)], p.plants, 1).commands(p.motions[0].wanted)[0]
+    params, state, reference = law.build(p.values).reshaping, reshaping.State(0.0, 0.0), []
+    for command in sent.tolist():
+        reference.append(state.reference)
+        state = reshaping.advance(params, state, reshaping.acceleration(params, state, command))
+    assert np.max(np.abs(np.array(reference) - p.motions[0].wanted)) < 1e-9
 
 
 @given(st.lists(st.tuples(st.floats(1e-3, 1.0), st.floats(1e-3, 1.0)), min_size=1, max_size=30))

@@ -179,13 +179,14 @@ def through(points: Sequence[PathPoint], present: Goal, able: Range) -> Path:
 
 def _check_extremes(course: PPoly, able: Range) -> None:
     """Check position and velocity of a ``course`` at its points and at the extremes between them."""
+    velocity, acceleration = course.derivative(), course.derivative(2)
+    if not all(np.isfinite(one.c).all() for one in (course, velocity, acceleration)):
+        raise ParameterError("the trajectory has numbers that are too large to calculate with")
     shown = []
-    for value, rate in ((course, course.derivative()), (course.derivative(), course.derivative(2))):
+    for value, rate in ((course, velocity), (velocity, acceleration)):
         between = rate.roots(discontinuity=False, extrapolate=False)
         shown.append(value(np.append(course.x, between[np.isfinite(between)])))
     x, v = shown
-    if not (np.isfinite(x).all() and np.isfinite(v).all()):
-        raise ParameterError("the trajectory has numbers that are too large to calculate with")
     _check(float(x.min()), float(x.max()), float(v.min()), float(v.max()), able, "the trajectory")
 
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
 SIMULATED = (
     "valve", "scenario", "command", "sample_period", "duration", "seed", "command_period", "command_jitter",
-    "command_drift", "set", "params_file", "figure",
+    "command_drift", "preview", "set", "params_file", "figure",
 )  # fmt: skip
 FIGURE = "command, position, error and voltage as PNG or SVG"
 LONG = 5_000_000  # samples from which on a run shows its progress
@@ -87,7 +87,7 @@ def delivery_options(points: bool = True) -> Parser:
         group.add_argument(f"--command-{name}", type=float, metavar=unit, help=text)
     if points:
         text = "the command is known ahead: points of a trajectory, with rate and acceleration"
-        group.add_argument("--preview", action="store_true", help=text)
+        group.add_argument("--preview", action="store_const", const=True, help=text)
     return options
 
 

@@ -44,7 +44,8 @@ AGAIN = 1.5  # s  after which it is asked again: a server that does not know the
 SILENT = 1.0  # s  without a reading, or without a voltage, from which on something is broken
 LOOK = 0.01  # s  most between two looks at what has come
 LAST_WORD = 0.2  # s  in which the last messages arrive
-LATE_VOLTAGE, LATE_COMMAND = 3.0, 6.0  # periods after which one is older than the loop is made for
+# Sample periods, and s at least, after which a voltage or a command is older than the loop is made for.
+LATE_VOLTAGE, LATE_COMMAND = (3.0, 0.003), (6.0, 0.006)
 SIMULATOR = "valve_simulator"  # gives a voltage the whole period of its reading, however late it comes
 Sample = tuple[int, int, float]  # number, time of sending [ns], V
 
@@ -359,7 +360,9 @@ def _paired(
         edges[1:] - times[np.maximum(np.searchsorted(times, edges[1:], side="right") - 1, 0)]
         for times in (answered, ordered)
     )
-    late = (voltage_age > LATE_VOLTAGE * period) | (command_age > LATE_COMMAND * period)
+    late = np.zeros(count, dtype=np.bool_)
+    for age, (periods, least) in ((voltage_age, LATE_VOLTAGE), (command_age, LATE_COMMAND)):
+        late |= age > max(periods * period, least)
     return Record(period, reading, voltage, wanted[last], latency=latency, late=late)
 
 

@@ -107,7 +107,8 @@ def simulate(
     law_params = law.build(controller_values) if alone else build.law_params(controller_values)
     valve_params = build.valve_params(valve_values)
     limit = number(controller_values, "command_limit")
-    command = np.clip(np.ascontiguousarray(command, dtype=np.float64), -limit, limit)
+    wanted = np.ascontiguousarray(command, dtype=np.float64)
+    command = np.clip(wanted, -limit, limit)
     period = valve_params.period
     n = len(command)
     labels = law.term_labels
@@ -120,7 +121,8 @@ def simulate(
         lead = command_lead.build(controller_values, law.reshapes(law_params))
         led = delivery.led(lead, controller_values, command, delivered)
     else:
-        led = delivery.of_points(law, law_params, command, *derivatives)
+        beyond = command != wanted
+        led = delivery.of_points(law, law_params, command, *(np.where(beyond, 0.0, d) for d in derivatives))
     signals, end = _ran(loop, led, noise, terms, compiled, told)
     position, measurement, voltage = signals.T
     least = number(controller_values, "oscillation_limit")

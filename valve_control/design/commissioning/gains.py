@@ -36,6 +36,7 @@ HOME = 1.0  # s  before the approach of a verification run
 PAUSE = 0.3  # s  after each motion of the verification run
 REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
 RECOVERY = 0.2  # s  after a late voltage or command, in which a run shows the machine and not the gains
+LEAST_COMMON = 0.1  # share of two runs that has to be steady in both, if they are to be compared
 SATURATED = 0.5  # share of samples at the limit of the voltage, from which on a simulated loop is unstable
 
 
@@ -326,21 +327,50 @@ def beside(several: Sequence[TunedGains]) -> list[str]:
 
 
 def against(plan: Plan, verified: Verification, record: Record) -> Verification:
-    """Judge ``verified`` by the ``record`` of the same run with the parameters from before."""
-    before = _indices(record)
+    """Judge ``verified`` by the ``record`` of the same run with the parameters from before.
+
+    Both by the samples that are steady in both; without any, the new gains stay.
+    """
+    both = verified.record, record
+    length = min(len(one.reading) for one in both)
+    common = np.logical_and(*(steady(one)[:length] for one in both))
+    if np.mean(common) < LEAST_COMMON:
+        return verified
+    measured, before = (_indices(one, np.pad(common, (0, len(one.reading) - length))) for one in both)
     reasons = list(verified.reasons)
-    if before.e_rms < verified.measured.e_rms and before.c_u <= _quiet(plan, verified):
+    if before.e_rms < measured.e_rms and before.c_u <= _quiet(plan, verified):
         reasons.append(
             f"on the running valve the parameters from before do better, {1e3 * before.e_rms:.3g} mV rms "
-            f"instead of {1e3 * verified.measured.e_rms:.3g} mV"
+            f"instead of {1e3 * measured.e_rms:.3g} mV"
         )
     return verified._replace(before=before, reasons=reasons)
 
 
-def _indices(record: Record) -> Indices:
+def latest(motion: VerifyingMotion, record: Record) -> float:
+    """Largest share of a stretch of ``motion``, or of the rest at its end, without steady samples."""
+    begins = [stretch - motion.judged for stretch in motion.stretches[1:]]
+    parts = np.split(
+        steady(record), [*begins, len(motion.wanted) - motion.judged - round(REST / record.period)]
+    )
+    return max(1.0 - float(np.mean(part)) for part in parts if len(part))
+
+
+def about_late(record: Record) -> list[str]:
+    """A sentence about late messages of a verification run."""
+    share = 1.0 - float(np.mean(steady(record)))
+    if share == 0.0:
+        return []
+    error = _indices(record, np.ones(len(record.reading), dtype=np.bool_)).e_rms
+    return [
+        f"late messages reach {share:.0%} of the verification run, which shows the machine there and does "
+        f"not count; with it the error is {1e3 * error:.3g} mV rms"
+    ]
+
+
+def _indices(record: Record, counted: npt.NDArray[np.bool_] | None = None) -> Indices:
     known = np.isfinite(record.reading) & np.isfinite(record.voltage) & np.isfinite(record.command)
     known[list(record.begins[1:])] = False  # which follow no sample of the part before
-    known &= steady(record)
+    known &= steady(record) if counted is None else counted
     return indices(
         np.where(known, record.reading - record.command, 0.0),
         np.where(known, record.voltage, 0.0),

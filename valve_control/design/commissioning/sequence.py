@@ -39,7 +39,7 @@ TURNS = 4  # of the triangle
 BOXES = (1.0, 2.0)
 DOUBTED = (2.0, 3.0)  # likewise, where the model does not explain the readings
 AGAIN = 3  # times that a stretch which a pause has spoiled is repeated
-MOST_LATE = 0.7  # share of a verification run that late messages may reach
+MOST_LATE = 0.7  # share of a stretch of a verification run that late messages may reach
 RESTS = 10  # times that a rest is tried, which is no test
 APART = 1.0  # s  between two reports of a pause, below which they are about the same one
 # Of both verification runs: limits, and that each command counts as it comes.
@@ -218,6 +218,7 @@ class _Commissioning:
             *known.notes,
             *refusals,
             *dead_time.way_notes(way),
+            *gains.about_late(verified.record),
             *_about_the_end(self._plan, chosen.tuned, tests.rest, verified.ended, self._pauses),
         ]
         return Result(
@@ -420,7 +421,7 @@ class _Commissioning:
         present = self._bench.values()
         restore(self._bench, {**self._before, **{name: present[name] for name in SAME}})
         try:
-            record = self._moved("verification of before", motion)
+            record = self._moved("verification of before", motion, most_late=1.0)
         except Fault as fault:
             self._bench.off()
             restore(self._bench, present)
@@ -431,8 +432,8 @@ class _Commissioning:
         restore(self._bench, present)
         return gains.against(self._plan, verified, record)
 
-    def _moved(self, name: str, motion: VerifyingMotion) -> Record:
-        """Record of the judged part of ``motion``, most of it without late messages. Raises Fault."""
+    def _moved(self, name: str, motion: VerifyingMotion, most_late: float = MOST_LATE) -> Record:
+        """Record of the judged part of ``motion``, each stretch with its share of late ones. Raises Fault."""
 
         def course(first: int, mark: Mark) -> Course:
             rest = motion.since(first)
@@ -447,13 +448,13 @@ class _Commissioning:
                 len(motion.wanted) * self._period,
                 lambda record, first, end: gains.judged_part(motion.since(first), record, end),
             )
-            late = 1.0 - float(np.mean(gains.steady(record)))
-            if late <= MOST_LATE:
+            late = gains.latest(motion, record)
+            if late <= most_late:
                 return record
             self._pauses[name] += 1
         raise Fault(
-            f"late messages reach {late:.0%} of the {name} run, {AGAIN} times: it shows the machine and not "
-            "the gains; give controller and driver real-time priority (chrt -f 10), or this host less to do"
+            f"late messages reach {late:.0%} of a stretch of the {name} run, {AGAIN} times: it shows the "
+            "machine and not the gains; give controller and driver real-time priority (chrt -f 10), or this host less to do"
         )
 
     def _test(self, name: str, course: Courses, length: float, text: str = "") -> Record:
