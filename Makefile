@@ -97,7 +97,7 @@ test: $(DEV)  ## the tests, without those of the campaign
 	$(call tests,not campaign and not browser); \
 	$(verdict)
 
-campaign: $(DEV)  ## the longer tests: faults, joiners, the dashboard in Chromium (CAMPAIGN=full: more of each)
+campaign: $(DEV)  ## the longer tests: faults, lockstep, the dashboard in Chromium (CAMPAIGN=full: more of each)
 	@$(call tests,campaign); \
 	part test/nodes/test_dashboard_browser.py --reruns 1 -m browser; \
 	$(verdict)

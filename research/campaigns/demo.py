@@ -350,8 +350,9 @@ def report(runs: list[tuple[DemoRun, Measured]], folder: Path) -> bool:
         for law, trace in story.items():
             text, errors[law] = demo.line(law, trace)
             print(text)
-        written.append(folder / "demo.png")
-        demo.draw(str(written[-1]), story, errors, "three ROS 2 processes at 1 kHz")
+        if demo.DRAWN.keys() & story.keys():
+            written.append(folder / "demo.png")
+            demo.draw(str(written[-1]), story, errors, "three ROS 2 processes at 1 kHz")
     print(f"\nwrote {', '.join(map(str, reversed(written)))} and the nodes' logs")
     for text in filter(None, complaints):
         print(text, file=sys.stderr)

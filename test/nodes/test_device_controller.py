@@ -209,6 +209,28 @@ def test_a_wait_for_the_device_is_no_standstill_of_the_process(ros, monkeypatch)
         assert "stalled" in valve._supervisor.conditions
 
 
+def test_the_voltage_of_a_silence_is_on_the_topic_whatever_the_decimation(ros, monkeypatch):
+    bus, heard = Bus(), []
+    ros.create_subscription(Float64, "valve_voltage", lambda m: heard.append(m.data), 100)
+    with beside(monkeypatch, bus, "signal_decimation:=10") as valve:
+        spin_until(ros, lambda: valve._voltages.get_subscription_count() == 1, "the subscription")
+        for _ in range(10):
+            valve.work()
+            valve.report()
+        spin_until(ros, lambda: heard, "the tenth voltage")
+        assert len(heard) == 1 and heard[0] != 0.0
+        valve.work()  # so that the time of the wait above is no standstill
+        valve.report()
+        bus.mute = True
+        valve.work()
+        valve.report()
+        spin_until(ros, lambda: len(heard) > 1, "the voltage of the silence")
+        assert heard[1:] == [0.0]
+        valve.trigger_deactivate()
+        spin_until(ros, lambda: len(heard) > 2, "the last voltage")
+        assert heard[2:] == [0.0]
+
+
 def users(port):
     """How many open files of this process are ``port``."""
     found = 0
@@ -257,4 +279,43 @@ def test_cleaning_up_or_shutting_down_a_node_with_a_device_closes_the_port(
         node.finish()
     finally:
         node.destroy_node()
+        card.close()
+
+
+@pytest.mark.alone
+def test_a_silent_card_of_a_manifold_does_not_hold_up_the_other(ros, tmp_path):
+    """Two cards on two lines; one falls silent for 1 s, in which the other must not miss a frame."""
+    cards = [serial_card.Card(), serial_card.Card()]
+    voltages = {space: [] for space in ("a", "b")}
+    for space, heard in voltages.items():
+        ros.create_subscription(
+            Float64, f"/{space}/valve_voltage", lambda m, heard=heard: heard.append(m.data), 100
+        )
+    words = ["-p", "valves:=[a,b]", "-p", "driver:=serial", "-p", "lvdt.period_limit:=1000.0"]
+    ports = {f"/{s}/controller": {"serial.port": card.port} for s, card in zip(voltages, cards, strict=True)}
+    (tmp_path / "ports.yaml").write_text(ros_file.as_yaml(ports))
+    words += ["--params-file", str(tmp_path / "ports.yaml")]
+
+    def turn(*spoken):
+        for card in spoken:
+            card.receive(time.monotonic())
+            card.move()
+            card.send(time.monotonic())
+        rclpy.spin_once(ros, timeout_sec=0.001)
+
+    with process("manifold", words, tmp_path / "m.log"):
+        end = time.monotonic() + LIMIT
+        while not all(card._asked for card in cards):
+            assert time.monotonic() < end, (tmp_path / "m.log").read_text()
+            turn(*cards)
+        begun, frames = cards[0].counter, cards[0].frames
+        silence = time.monotonic() + 1.0
+        while time.monotonic() < silence:
+            turn(cards[0])
+        sent = cards[0].counter - begun
+        assert sent > 100 and cards[0].frames - frames >= 0.95 * sent and cards[0]._asked
+        for _ in range(3):
+            turn(*cards)
+        spin_until(ros, lambda: turn(*cards) or cards[1]._asked, "the silent card again")
+    for card in cards:
         card.close()

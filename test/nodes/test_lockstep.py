@@ -7,12 +7,24 @@ import time
 from contextlib import ExitStack
 
 import pytest
-from bench import spin_until
+import sizes
+from bench import run_tool, spin_until
 from std_msgs.msg import Float64
 
 from research.campaigns.lockstep import CONFIG, run_lockstep
 from research.campaigns.processes import process
+from valve_control.control.laws.registry import LAWS
 from valve_control.nodes.adapter import SAMPLES
+
+
+@pytest.mark.campaign
+def test_the_motion_equals_offline_for_every_controller(tmp_path):
+    entries = run_tool("lockstep", tmp_path, "--duration", str(sizes.LOCKSTEP))
+    assert [e["controller"] for e in entries] == list(LAWS)
+    for entry in entries:
+        assert entry["equal"] and entry["samples"] == round(1000 * sizes.LOCKSTEP)
+        assert entry["voltage_at_end_V"] == entry["offline_voltage_at_end_V"]
+
 
 SOLENOID = {
     "valve": "solenoid", "solenoid.hysteresis": 0.2, "solenoid.dead_time": 0.0007, "solenoid.bits": 12,
@@ -69,11 +81,11 @@ def test_a_process_that_stands_still_is_waited_for(ros, tmp_path, node, seconds)
     assert run.result["equal"], run.result["first_difference"]
     assert run.samples["valve_voltage"][-1] == run.twin.voltage[-1]
     simulator = (tmp_path / "lockstep_still_valve_simulator.log").read_text()
-    assert "waits" in simulator
+    assert "waits" in simulator and "sent again" not in simulator
 
 
-def test_a_simulator_waits_for_a_controller(ros, tmp_path):
-    """A listener that is no controller is not enough."""
+def test_a_simulator_waits_for_a_controller_and_asks_the_next_one_again(ros, tmp_path):
+    """A listener that is no controller is not enough; one that is killed may be followed by another."""
     readings = []
     command = ros.create_publisher(Float64, "spool_command", SAMPLES)
 
@@ -90,5 +102,11 @@ def test_a_simulator_waits_for_a_controller(ros, tmp_path):
         begun = time.monotonic()
         spin_until(ros, lambda: time.monotonic() > begun + 1.0, "a second")
         assert not readings
-        stack.enter_context(process("controller", settings, tmp_path / "first.log"))
+        first = stack.enter_context(process("controller", settings, tmp_path / "first.log"))
         spin_until(ros, lambda: len(readings) > 100, "readings")
+        first.send_signal(signal.SIGKILL)
+        first.wait()
+        count = len(readings)
+        stack.enter_context(process("controller", settings, tmp_path / "second.log"))
+        spin_until(ros, lambda: len(readings) > count + 100, "readings for the second controller")
+        assert log.read_text().count("sent again") == 1

@@ -4,6 +4,7 @@
 
 import itertools
 import random
+import resource
 import shutil
 import signal
 import sqlite3
@@ -94,6 +95,11 @@ def by_topic(folder):
     return found
 
 
+def topics(folder):
+    with AnyReader([folder]) as reader:
+        return {connection.topic for connection in reader.connections}
+
+
 def gaps(messages):
     numbers = list(itertools.takewhile(lambda number: number is not None, (m[1] for m in messages)))
     assert all(number is None for _, number, _ in messages[len(numbers) :])  # only the last transaction
@@ -170,13 +176,16 @@ def test_cascade_at_1_khz_without_loss(ros, tmp_path, cascade, storage):
 
 @pytest.mark.alone
 @pytest.mark.campaign
-def test_killed_at_any_moment(ros, tmp_path, cascade):
+def test_killed_at_any_moment(ros, tmp_path, cascade, capsys):
     """SIGKILL again and again: less than a second is lost, nothing is missing before.
 
     What counts begins when the recording is seen to run. On a busy machine DDS sometimes holds back and drops
-    messages while it connects a recorder that follows a killed one.
+    messages while it connects a recorder that follows a killed one (the cause is not established; 28 starts
+    on a quiet machine had none); how many is printed.
     """
     choose = random.Random(3)
+    worst = []
+    missing_at_start = 0
     for k in range(sizes.KILLED_RECORDERS):
         storage = "mcap" if k < 0.7 * sizes.KILLED_RECORDERS else "sqlite3"
         folder, log = tmp_path / f"bag_{k}", tmp_path / f"log_{k}"
@@ -192,11 +201,22 @@ def test_killed_at_any_moment(ros, tmp_path, cascade):
         found = by_topic(result.out)
         for topic in TOPICS:
             lost = (killed - found[topic][-1][0]) / 1e9
+            worst.append((lost, topic, storage))
             since = [message for message in found[topic] if message[0] >= running]
             # What the middleware held back for a third of a second may come just before the kill.
             assert lost < 1.0 and len(found[topic]) > 100 and gaps(since) == 0, (k, topic)
+            missing_at_start += gaps(found[topic])
         with AnyReader([result.out]) as reader:
             assert reader.message_count == result.messages == sum(map(len, found.values()))
+    with capsys.disabled():
+        print(f"\nmissing before the recordings ran: {missing_at_start} messages", end="")
+        for storage in ("mcap", "sqlite3"):
+            lost = [seconds for seconds, _, s in worst if s == storage]
+            print(
+                f"\n{storage}: {len(lost) // 4} kills, lost before the kill: mean "
+                f"{1e3 * sum(lost) / len(lost):.0f} ms, worst {1e3 * max(lost):.0f} ms",
+                end="",
+            )
 
 
 def test_a_node_that_comes_back_is_asked_again_and_its_command_under_another_name_is_missed(ros, tmp_path):
@@ -262,6 +282,22 @@ def test_what_publishers_offer_is_taken(ros, tmp_path):
     assert qos["/latched"][0].durability.name == "TRANSIENT_LOCAL"
 
 
+@pytest.mark.alone
+def test_a_bag_that_may_not_grow_ends_in_order(ros, tmp_path, cascade):
+    folder, log = tmp_path / "bag", tmp_path / "log"
+    with recorder(folder, log) as child:
+        spin_until(ros, lambda: flows(folder, "mcap"), "messages of all topics")
+        limit = next(folder.glob("*.mcap")).stat().st_size + 3_000_000
+        resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (limit, limit))
+        spin_until(ros, lambda: child.poll() is not None, "the end")
+        assert child.returncode == 1
+    text = log.read_text()
+    assert "cannot be written any further: File too large; the bag has no end (valve-control" in text
+    assert "Traceback" not in text
+    found = by_topic(recover(folder).out)
+    assert all(gaps(found[topic]) == 0 and len(found[topic]) > 500 for topic in TOPICS)
+
+
 class Ear:
     """What the recorder says in /diagnostics."""
 
@@ -323,7 +359,12 @@ def test_the_type_of_our_nodes_is_recorded_and_another_one_said(ros, stranger, t
 
 @pytest.mark.parametrize(
     ("storage", "how"),
-    [("mcap", "folder renamed"), ("sqlite3", "folder removed")],
+    [
+        ("mcap", "folder renamed"),
+        ("sqlite3", "folder removed"),
+        pytest.param("mcap", "file replaced", marks=pytest.mark.campaign),
+        pytest.param("sqlite3", "file removed", marks=pytest.mark.campaign),
+    ],
 )
 def test_a_bag_that_is_taken_away_ends_the_recording_at_once(ros, tmp_path, storage, how):
     folder, log = tmp_path / "bag", tmp_path / "log"
@@ -338,8 +379,12 @@ def test_a_bag_that_is_taken_away_ends_the_recording_at_once(ros, tmp_path, stor
         begun = time.monotonic()
         if how == "folder removed":
             shutil.rmtree(folder)
-        else:
+        elif how == "folder renamed":
             folder.rename(tmp_path / "elsewhere")
+        else:
+            file.unlink()
+            if how == "file replaced":
+                file.write_bytes(b"")
         spin_until(ros, ear.heard(DiagnosticStatus.ERROR, "was removed, moved or replaced"), "the error")
         spin_until(ros, lambda: child.poll() is not None, "the end")
         assert child.returncode == 1 and time.monotonic() - begun < 5.0

@@ -23,6 +23,12 @@ class RequestId(ctypes.Structure):
     _fields_ = (("bytes", ctypes.c_uint8 * 64),)
 
 
+class FirstList(ctypes.Structure):
+    """The sequence with which a request begins."""
+
+    _fields_ = (("data", ctypes.c_void_p), ("size", ctypes.c_size_t), ("capacity", ctypes.c_size_t))
+
+
 class MessageFunctions:
     """The C functions of a message class, which rclpy itself calls too; a node uses the class already."""
 

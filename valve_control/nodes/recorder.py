@@ -357,7 +357,7 @@ class Recorder(Worker):
         warnings.update(self._overlooked.values())
         for text in sorted(warnings - self._logged):
             self.get_logger().warning(text)
-        self._logged |= warnings
+        self._logged = warnings
         if warnings != self._warnings:
             self._warnings = warnings
             self._publish_status()

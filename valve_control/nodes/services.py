@@ -24,8 +24,9 @@ from rclpy.parameter import Parameter
 from rclpy.service import Service
 
 from valve_control.nodes import rclpy_internals
-from valve_control.nodes.rclpy_internals import OK, MessageFunctions, RequestId, WaitSet
+from valve_control.nodes.rclpy_internals import OK, FirstList, MessageFunctions, RequestId, WaitSet
 
+MOST_ENTRIES = 500  # of the list in a request; what is longer is not looked at
 MOST_WAITING = 64  # requests; more wait in the middleware
 SENDERS = 4  # threads, each of which a client that has left holds up for 0.1 s
 
@@ -53,6 +54,9 @@ class _Server:
         self.service = service
         self.request = MessageFunctions(service.srv_type.Request)
         self.response = MessageFunctions(service.srv_type.Response)
+        # Requests that begin with anything else have a size of their own.
+        first = next(iter(service.srv_type.Request.get_fields_and_field_types().values()), "")
+        self.has_list = first.startswith("sequence<")
         self.pointer = ctypes.c_void_p(service.handle.pointer)
 
 
@@ -62,6 +66,7 @@ class _Request(NamedTuple):
     server: _Server
     sender: RequestId
     message: int  # the C message
+    size: int  # of its list
 
 
 class Reception:
@@ -135,7 +140,8 @@ class Reception:
             server.request.destroy(message)
             self._room.release()
             return
-        self._waiting.append(_Request(server, sender, message))
+        size = FirstList.from_address(message).size if server.has_list else 0
+        self._waiting.append(_Request(server, sender, message, size))
 
     def _send(self, server: _Server, sender: RequestId, message: int) -> None:
         # A client that has left is no error; there is nobody to tell.
@@ -148,19 +154,26 @@ class Reception:
     def _answered(self, request: _Request) -> Iterator[None]:
         server, service = request.server, request.server.service
         message = server.response.create()  # an empty answer, unless there is another
-        asked = server.request.to_python(request.message)
-        server.request.destroy(request.message)
-        response = service.srv_type.Response()
-        try:
-            if service.srv_type is SetParameters:
-                yield from _set_one_by_one(server.node, asked, response)
-            else:
-                response = service.callback(asked, response)
-            server.response.from_python(response, message)
-        except Exception as error:  # whatever a client sends must not end the loop
-            server.node.get_logger().error(f"{service.service_name}: {error}")
-            server.response.destroy(message)  # fields before the one that fails are set
-            message = server.response.create()
+        if request.size > MOST_ENTRIES:
+            server.request.destroy(request.message)
+            server.node.get_logger().warning(
+                f"{service.service_name}: a request with {request.size} entries refused; "
+                f"{MOST_ENTRIES} is the most"
+            )
+        else:
+            asked = server.request.to_python(request.message)
+            server.request.destroy(request.message)
+            response = service.srv_type.Response()
+            try:
+                if service.srv_type is SetParameters:
+                    yield from _set_one_by_one(server.node, asked, response)
+                else:
+                    response = service.callback(asked, response)
+                server.response.from_python(response, message)
+            except Exception as error:  # whatever a client sends must not end the loop
+                server.node.get_logger().error(f"{service.service_name}: {error}")
+                server.response.destroy(message)  # fields before the one that fails are set
+                message = server.response.create()
         self._senders.submit(self._send, server, request.sender, message)
 
 

@@ -65,33 +65,25 @@ def _subplots(rows: int, columns: int, height: float) -> tuple[Any, Any]:
     return figure, axes
 
 
-def _trace_plots(traces: Mapping[str, Trace], own_commands: bool) -> list[Plot]:
+def _trace_plots(traces: Mapping[str, Trace]) -> list[Plot]:
     """Command and position, error, and voltage over time; a colour per run."""
-    top, middle, bottom = [], [], []
+    first = next(iter(traces.values()))
+    top, middle, bottom = [Line("command", first.time, first.command, "black")], [], []
     for i, (label, trace) in enumerate(traces.items()):
         colour = COLOURS[i % len(COLOURS)]
-        if i == 0 or own_commands:
-            name, black = ("command", "black") if i == 0 else (f"command of {label}", colour)
-            top.append(Line(name, trace.time, trace.command, black, dashed=i > 0))
         top.append(Line(label, trace.time, trace.position, colour))
         middle.append(Line(label, trace.time, trace.position - trace.command, colour))
         bottom.append(Line(label, trace.time, trace.voltage, colour))
     return [Plot("spool position [V]", top), Plot("error [V]", middle), Plot("solenoid voltage [V]", bottom)]
 
 
-def draw_traces(
-    path: Path,
-    groups: Mapping[str, Mapping[str, Trace]],
-    title: str,
-    bands: Sequence[Band] = (),
-    own_commands: bool = False,
-) -> None:
+def draw_traces(path: Path, groups: Mapping[str, Mapping[str, Trace]], title: str) -> None:
     """Draw command and position, error, and voltage over time; a column per group, a colour per run.
 
-    ``own_commands``: the runs need not have one command. Raises OSError if ``path`` cannot be written.
+    The runs of a group have one command. Raises OSError if ``path`` cannot be written.
     """
-    columns = {name: _trace_plots(traces, own_commands) for name, traces in groups.items()}
-    draw_columns([path], columns, "time [s]", title, bands)
+    columns = {name: _trace_plots(traces) for name, traces in groups.items()}
+    draw_columns([path], columns, "time [s]", title)
 
 
 def draw_plots(
@@ -109,7 +101,6 @@ def draw_columns(
     columns: Mapping[str, Sequence[Plot]],
     x_title: str,
     title: str,
-    bands: Sequence[Band] = (),
     logarithmic_x: bool = False,
 ) -> None:
     """Draw a column of plots for each name, into each of ``paths``; a column has one horizontal axis.
@@ -132,12 +123,6 @@ def draw_columns(
                 above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
                 axis.legend(fontsize="small", ncols=2 if len(labels) < 7 else 4, borderaxespad=0.1, **above)
                 told |= labels
-        for band in bands:
-            for axis in column if band.plot is None else [column[band.plot]]:
-                # Without its edge a band narrower than a pixel would not be seen.
-                axis.axvspan(
-                    band.start, band.end, band.low, band.high, color=band.colour, alpha=band.opacity, lw=0.5
-                )
         column[0].set_title(name, loc="left")
         column[-1].set_xlabel(x_title)
     figure.suptitle(title)

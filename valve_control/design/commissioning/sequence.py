@@ -454,7 +454,8 @@ class _Commissioning:
             self._pauses[name] += 1
         raise Fault(
             f"late messages reach {late:.0%} of a stretch of the {name} run, {AGAIN} times: it shows the "
-            "machine and not the gains; give controller and driver real-time priority (chrt -f 10), or this host less to do"
+            "machine and not the gains; give controller and driver real-time priority (chrt -f 10), "
+            "or this host less to do"
         )
 
     def _test(self, name: str, course: Courses, length: float, text: str = "") -> Record:

@@ -131,6 +131,8 @@ class Bag:
     @property
     def begin(self) -> int:
         """Log time [ns] of the first message, 0 if there are none; not of one hours from all near it."""
+        if self.table is not None:
+            return int(self.table.times[0]) if len(self.table.times) else 0
         firsts = filter(None, map(_first_block, self._files))
         return min((stretch(block.log_time)[0] for block in firsts), default=0)
 
@@ -318,7 +320,7 @@ class Bag:
 
     def _decompressed(self, block: Block) -> Block:
         """``block``, whose messages rosbag2 may have compressed, with the messages as they were sent."""
-        if not block.first.startswith(ZSTD_MAGIC):
+        if self.listing.compression != "message" and not block.first.startswith(ZSTD_MAGIC):
             return block
         import zstandard
 

@@ -27,6 +27,7 @@ from valve_control.recordings.bags.messages import Block, Topic, absolute, full_
 
 MAGIC = b"\x89MCAP0\r\n"
 WINDOW = 100_000  # records
+COMPRESSIONS = ("", "lz4", "zstd")
 HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")])  # of a message
 # Raised for a damaged record; OverflowError: its size has more than 63 bits.
 DAMAGE = (
@@ -63,6 +64,9 @@ def _windows(buffer: Bytes, start: int) -> Iterator[tuple[Integers, Integers, in
         at, count = compile_function(_walk)(buffer, at, records)
         messages = (records[:count, 0] == Opcode.MESSAGE) & (records[:count, 2] >= HEAD.itemsize)
         yield records[:count][messages], records[:count][~messages], int(at)
+
+
+COMPRESSIONS = ("", "lz4", "zstd")
 
 
 class McapFile:
@@ -167,6 +171,8 @@ class McapFile:
         """Uncompressed records of a chunk; none, and a note in ``problems``, if it is damaged."""
         try:
             chunk = Chunk.read(ReadDataStream(BytesIO(self._buffer[begin : begin + length].tobytes())))
+            if chunk.compression not in COMPRESSIONS:  # the library takes any other for none
+                raise ValueError(f"compression {chunk.compression!r} is not known")
             stream, size = get_chunk_data_stream(chunk, validate_crc=True)
         except DAMAGE as error:
             reason = (str(error) or type(error).__name__).splitlines()[0]
