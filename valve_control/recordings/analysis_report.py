@@ -147,8 +147,8 @@ def csv_text(signals: Aligned) -> str:
 
 def _valve_sections(name: str, valve: ValveAnalysis) -> dict[str, list[Piece]]:
     signals = valve.signals
-    period = signals.period if signals is not None else np.nan
-    head = f"controller {valve.controller or 'unknown'}, sample period {1e3 * period:.4g} ms"
+    period = "unknown" if signals is None else f"{1e3 * signals.period:.4g} ms"
+    head = f"controller {valve.controller or 'unknown'}, sample period {period}"
     if valve.period.differs:
         head += f", LVDT readings every {1e3 * valve.period.measured_s:.4g} ms"
     parts = sorted(valve.parts, key=lambda part: part.kind == "motion")

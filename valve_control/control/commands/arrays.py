@@ -56,9 +56,9 @@ def read(path: str) -> Floats:
     numbers: Floats = np.asarray(array, dtype=np.float64)
     if numbers.ndim == 2 and 1 in numbers.shape:
         numbers = numbers.ravel()
-    if numbers.ndim != 1 or numbers.size == 0:
+    if numbers.ndim != 1 or numbers.size < 2:
         raise ParameterError(
-            f"command file {path} must hold one column of numbers; its shape is {numbers.shape}"
+            f"command file {path} must hold one column of two or more numbers; its shape is {numbers.shape}"
         )
     if not np.all(np.isfinite(numbers)):
         first = int(np.flatnonzero(~np.isfinite(numbers))[0])

@@ -67,7 +67,7 @@ def shape(values: Values) -> "Shape":
         needed = made.start + steps_of(made)[-1].end
         if needed > number(values, "duration"):
             raise ParameterError(
-                f"duration is {number(values, 'duration'):g} s; the stepped sine takes {needed:.4g} s"
+                f"duration is {number(values, 'duration'):g} s; the stepped sine takes {needed:.6g} s"
             )
     if made.scenario == "point_to_point":
         ramp, cruise, _ = stroke_time(abs(made.amplitude), made.max_velocity, made.max_accel)

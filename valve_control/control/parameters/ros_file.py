@@ -28,14 +28,16 @@ def config_folder() -> Path:
     return next((folder for folder in shares if folder.is_dir()), package.parent / "config")
 
 
-def _flat(tree: dict[Any, Any], prefix: str = "") -> dict[str, Any]:
+def _flat(path: str, tree: dict[Any, Any], prefix: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in tree.items():
         name = f"{prefix}{key}"
-        if isinstance(value, dict):
-            flat.update(_flat(value, f"{name}."))
-        else:
-            flat[name] = value
+        new = _flat(path, value, f"{name}.") if isinstance(value, dict) else {name: value}
+        if twice := flat.keys() & new.keys():
+            raise ParameterError(
+                f"parameter file {path} gives {min(twice)} twice, with dots and by indentation"
+            )
+        flat |= new
     return flat
 
 
@@ -217,7 +219,7 @@ def _sections(path: str, tree: dict[Any, Any], above: str) -> Iterator[Section]:
         values = content["ros__parameters"]
         if not isinstance(values, dict):
             raise ParameterError(f"section '{pattern}' of {path} has no parameters below 'ros__parameters:'")
-        yield Section(pattern, _flat(values))
+        yield Section(pattern, _flat(path, values))
 
 
 def as_text(value: Value) -> str:
