@@ -54,6 +54,18 @@ TEXTS = {
         lambda t: "t c y u\n" + text(t, " ", True),
         ["spool_command=c", "spool_position=y", "valve_voltage=u"],
     ),
+    "units in brackets below the names": (
+        lambda t: HEADER.replace("time_s", "t") + "[ms],[mV],[mV],[µV]\n" + text(t * [1e3, 1e3, 1e3, 1e6]),
+        PLAIN,
+    ),
+    "bare units below the names": (
+        lambda t: "t;command;lvdt;u\nms;V;mV;V\n" + text(t * [1e3, 1, 1e3, 1], ";", True),
+        PLAIN,
+    ),
+    "units behind the names": (
+        lambda t: "Zeit [ms]\tcommand (mV)\tlvdt [V]\tu [kV]\n" + text(t * [1e3, 1e3, 1, 1e-3], "\t"),
+        PLAIN,
+    ),
     "sample period": (lambda t: "command,lvdt,u\n" + text(t[:, 1:]), [*PLAIN, "time=row*0.001+3"]),
     "milliampere with offset": (
         lambda t: (
@@ -142,6 +154,15 @@ def test_a_matlab_file_gives_the_signals_of_the_bag(tmp_path, reference, kind):
     make, maps = MATLAB[kind]
     savemat(tmp_path / "log.mat", make(rows(reference)))
     same(tmp_path / "log.mat", maps, reference)
+
+
+def test_units_are_told_where_they_are_not_known(tmp_path, reference):
+    for units, note in (
+        ("", "no column has a unit: all count as V"),
+        ("[s],[V],[bar],[V]\n", "the unit bar of lvdt is not known: it counts as V"),
+    ):
+        (tmp_path / "t.csv").write_text(HEADER + units + text(rows(reference)))
+        assert note in load(tmp_path / "t.csv", PLAIN).problems
 
 
 def test_a_coarse_time_keeps_the_rows_together(tmp_path, reference):

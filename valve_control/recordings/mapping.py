@@ -11,7 +11,7 @@ from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.bags.cdr import Decoder, normal
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.messages import absolute
-from valve_control.recordings.tables import column_of, empty_notes, scaled, take_times
+from valve_control.recordings.tables import column_of, empty_notes, scaled, take_times, unit_notes, unit_of
 
 PARTS = ("spool_command", "spool_position", "valve_voltage")
 TRAJECTORY = "spool_trajectory"  # plays the part of the command where there are no others
@@ -82,6 +82,8 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     read at all.
     """
     maps = take_times(bag, maps)
+    columns = [] if bag.table is None else zip(bag.table.topics, bag.table.columns, strict=True)
+    units = {topic.name: unit_of(column) for topic, column in columns}
     sources: dict[str, dict[str, Source]] = {}
     left_out: list[str] = []
     for name in bag.topics:
@@ -90,7 +92,9 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
             if wrong := _wrong_field(bag, Source(name, "data")):
                 left_out.append(f"{wrong}; it is left out")
             else:
-                sources.setdefault(_name(namespace), {})[part] = Source(name, "data")
+                sources.setdefault(_name(namespace), {})[part] = Source(
+                    name, "data", units.get(name, Scale(1.0))
+                )
     for name in bag.topics:
         namespace, _, part = name.rpartition("/")
         parts = sources.get(_name(namespace), {})
@@ -118,7 +122,7 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     bag.problems += left_out
     if bag.table is not None:
         used = [source.topic for parts in sources.values() for source in parts.values()]
-        bag.problems += empty_notes(bag.table, used)
+        bag.problems += empty_notes(bag.table, used) + unit_notes(bag.table, used)
     return {
         valve: ValveTopics(valve, _namespace(valve), parts, *_own_topics(bag, _namespace(valve)))
         for valve, parts in sorted(sources.items())

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from valve_control.control.drivers.scaling import Scale, ScaleError, parse
 from valve_control.recordings.bags.bag import Bag
+from valve_control.recordings.bags.columns import UNITS, Column
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.table import KINDS, TableFile
 
@@ -22,7 +23,6 @@ USUAL = re.compile(
     r"(?:time|t|zeit|(?P<stamp>(?:time)?stamp))(?:[\s_]*[\[(]\s*|[\s_]+|$)(?P<unit>s|sec|ms|us|µs|ns|)\s*[\])]?",
     re.IGNORECASE,
 )
-UNITS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 LONGEST = 9e9  # s, as long as nanoseconds can be counted
 
 
@@ -57,9 +57,30 @@ def scaled(text: str) -> tuple[str, Scale]:
 
 
 def column_of(table: TableFile, text: str) -> tuple[str, Scale]:
-    """Column and scale that the map ``text`` names, the column by its exact name or its number from 1."""
+    """Column and scale that the map ``text`` names, the column by its exact name or its number from 1.
+
+    Without a scale that of the column's unit.
+    """
     right = text.partition("=")[2].strip()
-    return (right, Scale(1.0)) if table.named(right) else scaled(text)
+    name, scale = (right, Scale(1.0)) if table.named(right) else scaled(text)
+    if scale == Scale(1.0) and (name != ROW or table.named(ROW)):
+        scale = unit_of(table.columns[table.column(name)])
+    return name, scale
+
+
+def unit_of(column: Column) -> Scale:
+    """Factor of the column's unit to s or V, 1 without one that is known."""
+    return Scale(UNITS.get(column.unit.lower(), 1.0))
+
+
+def unit_notes(table: TableFile, topics: Sequence[str]) -> list[str]:
+    """What the units of the columns ``topics`` are, where that is not said by them."""
+    used = [c for topic, c in zip(table.topics, table.columns, strict=True) if topic.name in topics]
+    unknown = [c for c in used if c.unit and c.unit.lower() not in UNITS]
+    notes = [f"the unit {c.unit} of {c.bare_name} is not known: it counts as V" for c in unknown]
+    if used and not any(c.unit for c in used):
+        notes.append("no column has a unit: all count as V")
+    return notes
 
 
 def take_times(bag: Bag, maps: Sequence[str]) -> list[str]:
@@ -100,14 +121,14 @@ def take_times(bag: Bag, maps: Sequence[str]) -> list[str]:
 def _usual(table: TableFile) -> tuple[str, Scale]:
     """The only column whose name is that of a time. Raises BagError if there is none, or several."""
     times = [
-        (column.name, named)
+        (column.name, named, unit_of(column) if column.unit else Scale(UNITS[named["unit"].lower() or "s"]))
         for column in table.columns
         if (named := USUAL.fullmatch(column.name)) and not column.flaw
     ]
     found = [
-        (name, Scale(UNITS[named["unit"].lower()]))
-        for name, named in times
-        if not named["stamp"] or all(other["stamp"] for _, other in times)
+        (name, unit)
+        for name, named, unit in times
+        if not named["stamp"] or all(other["stamp"] for _, other, _ in times)
     ]
     if len(found) == 1:
         return found[0]

@@ -19,6 +19,11 @@ HEAD = 50  # lines among which the first row of numbers is
 COMMENTS = ("#", "%")
 MISSING = {"", "na", "n/a", "null"}
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
+UNITS = {
+    **{"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9},
+    **{"v": 1.0, "mv": 1e-3, "uv": 1e-6, "µv": 1e-6, "kv": 1e3},
+}  # in lower case, in s or V
+NAMED_UNIT = re.compile(r"(?P<name>.*?)\s*[\[(]\s*(?P<unit>[^\W\d][^\])]*?)\s*[\])]")
 LONGEST = 40  # characters of a cell that are shown
 
 
@@ -29,6 +34,13 @@ class Column(NamedTuple):
     values: Floats
     filled: npt.NDArray[np.bool_]  # rows in which it is not empty
     flaw: str = ""  # why it cannot be used
+    unit: str = ""  # as it stands in the header
+
+    @property
+    def bare_name(self) -> str:
+        """The name without a known unit in brackets behind it."""
+        named = NAMED_UNIT.fullmatch(self.name)
+        return named["name"] if named and named["unit"].lower() in UNITS else self.name
 
 
 def read(path: Path) -> list[Column]:
@@ -57,10 +69,13 @@ def read(path: Path) -> list[Column]:
                 f"{path}: line {number} has {len(row)} entries, line {rows[0][0]} has {count}; all rows need "
                 "the same number"
             )
-    names = _names(above, count)
+    names, units = _names(above, count)
     cells = zip(*(row for _, row in rows), strict=True)
     numbers = [number for number, _ in rows]
-    return [_column(names[k], k + 1, column, numbers, separator) for k, column in enumerate(cells)]
+    return [
+        _column(names[k], k + 1, column, numbers, separator)._replace(unit=units[k])
+        for k, column in enumerate(cells)
+    ]
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -106,12 +121,23 @@ def _first_row(lines: Sequence[tuple[int, str]], separator: str) -> tuple[float,
     return None
 
 
-def _names(above: Sequence[list[str]], count: int) -> list[str]:
-    """Names of the columns by the lines above the first row, the last of which may be units in brackets."""
+def _names(above: Sequence[list[str]], count: int) -> tuple[list[str], list[str]]:
+    """Names and units of the columns by the lines above the first row.
+
+    Units stand in brackets behind the names, or in a line of their own below them, with or without brackets.
+    """
     fitting = [cells for cells in above if len(cells) == count]
-    if len(fitting) > 1 and all(cell[:1] in "[(" for cell in fitting[-1]):
-        fitting.pop()
-    return fitting[-1] if fitting else [""] * count
+    units = [""] * count
+    if len(fitting) > 1:
+        last = [cell.strip("[]() ") for cell in fitting[-1]]
+        if all(cell[:1] in "[(" for cell in fitting[-1]) or all(cell.lower() in UNITS for cell in last):
+            units = last
+            fitting.pop()
+    names = fitting[-1] if fitting else [""] * count
+    behind = [NAMED_UNIT.fullmatch(name) for name in names]
+    return names, [
+        unit or (named["unit"] if named else "") for unit, named in zip(units, behind, strict=True)
+    ]
 
 
 def _column(name: str, at: int, cells: Sequence[str], lines: Sequence[int], separator: str) -> Column:

@@ -45,7 +45,7 @@ class TableFile:
 
     def _topic_names(self) -> list[str]:
         """Names of the columns, for those that have none of their own their numbers."""
-        names = [column.name for column in self.columns]
+        names = [column.bare_name for column in self.columns]
         found = [
             name if name and names.count(name) == 1 else str(number)
             for number, name in enumerate(names, start=1)
@@ -61,11 +61,12 @@ class TableFile:
 
     def named(self, name: str) -> bool:
         """Whether a column has exactly this name, or several have."""
-        return any(name == column.name for column in self.columns)
+        return any(name in (column.name, column.bare_name) for column in self.columns)
 
     def column(self, name: str) -> int:
         """Index of the column with this name, or else this number from 1. Raises BagError."""
         found = [i for i, column in enumerate(self.columns) if name == column.name]
+        found = found or [i for i, column in enumerate(self.columns) if name == column.bare_name]
         if len(found) > 1:
             numbers = " and ".join(str(i + 1) for i in found)
             raise BagError(f"{self.path} has {len(found)} columns {name}; take one by its number: {numbers}")
