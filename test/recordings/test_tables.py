@@ -165,6 +165,20 @@ def test_units_are_told_where_they_are_not_known(tmp_path, reference):
         assert note in load(tmp_path / "t.csv", PLAIN).problems
 
 
+@pytest.mark.parametrize(
+    ("end", "note"),
+    [
+        ("EOF\n", "line 902, the last one, has 1 of 4 entries and is left out"),
+        ("13.4,0.1", "line 902, the last one, has 2 of 4 entries and is left out"),
+        (",,,\n,,,\n", "2 empty rows are left out"),
+    ],
+)
+def test_the_end_of_a_log_that_is_no_row_is_left_out(tmp_path, reference, end, note):
+    (tmp_path / "t.csv").write_text(HEADER + text(rows(reference)) + end)
+    same(tmp_path / "t.csv", PLAIN, reference, 1e-12)
+    assert note in load(tmp_path / "t.csv", PLAIN).problems
+
+
 def test_a_coarse_time_keeps_the_rows_together(tmp_path, reference):
     """Ten rows have one stamp, and the command stands behind the reading."""
     table = rows(reference)
@@ -203,7 +217,7 @@ REFUSED = {
         "has no column lvdt_mA; it has time_s, command, lvdt, u",
     ),
     "no number": (GOOD.replace("0.001,0,1", "0.001,0,one"), PLAIN, "column lvdt holds 'one' in line 3"),
-    "a ragged row": (GOOD + "0.003,0,1\n", PLAIN, "line 5 has 3 entries, line 2 has 4"),
+    "a ragged row": (GOOD + "0.003,0,1\n0.004,0,1,0\n", PLAIN, "line 5 has 3 entries, line 2 has 4"),
     "time that runs backwards": (
         GOOD + "0.001,0,1,0\n",
         PLAIN,
@@ -287,7 +301,7 @@ def test_any_table_comes_back_or_is_doubted(tmp_path_factory, table, separator, 
     path = tmp_path_factory.getbasetemp() / "any.csv"
     names = separator.join("abcd"[: len(table[0])]) + "\n" if header else ""
     path.write_text(names + text(np.array(table), separator, comma))
-    found = columns.read(path)
+    found = columns.read(path, [])
     assert len(found) == len(table[0])
     for column, wanted in zip(found, np.array(table).T, strict=True):
         assert column.flaw or np.array_equal(column.values, wanted)

@@ -43,11 +43,13 @@ class Column(NamedTuple):
         return named["name"] if named and named["unit"].lower() in UNITS else self.name
 
 
-def read(path: Path) -> list[Column]:
+def read(path: Path, notes: list[str]) -> list[Column]:
     """Columns of a text file; one with a cell that is no number is there with its flaw.
 
-    Decimals have a point, or a comma where the separator is another. Raises BagError without any numbers and
-    where rows have not the same number of entries, OSError if the file cannot be read.
+    Decimals have a point, or a comma where the separator is another. An incomplete last line, of a logger
+    that was killed or of its closing mark, and empty rows are left out, with ``notes``. Raises BagError
+    without any numbers and where other rows have not the same number of entries, OSError if the file cannot
+    be read.
     """
     data = path.read_bytes()
     if not data:
@@ -63,6 +65,13 @@ def read(path: Path) -> list[Column]:
     _, count, first, separator = max(found, key=lambda form: form[:2])
     above = [_cells(line.lstrip("#% "), separator) for _, line in lines[:first]]
     rows = [(i, _cells(line, separator)) for i, line in lines[first:] if not line.startswith(COMMENTS)]
+    if len(rows) > 1 and len(rows[-1][1]) < count:
+        number, row = rows.pop()
+        notes.append(f"line {number}, the last one, has {len(row)} of {count} entries and is left out")
+    whole = [(number, row) for number, row in rows if any(row)]
+    if len(whole) < len(rows):
+        notes.append(f"{len(rows) - len(whole)} empty rows are left out")
+        rows = whole
     for number, row in rows:
         if len(row) != count:
             raise BagError(

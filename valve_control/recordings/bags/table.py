@@ -33,8 +33,8 @@ class TableFile:
         self.damaged: set[int] = set()
         refuse_pointer(path)
         self.size = path.stat().st_size
-        reader = matlab.read if KINDS[path.suffix.lower()] == MATLAB else columns.read
-        self.columns = reader(path)
+        matlab_file = KINDS[path.suffix.lower()] == MATLAB
+        self.columns = matlab.read(path) if matlab_file else columns.read(path, self.problems)
         self.topics = [
             Topic(absolute(name), FLOAT, flaw=column.flaw)
             for name, column in zip(self._topic_names(), self.columns, strict=True)
