@@ -71,3 +71,12 @@ def test_readings_that_share_their_stamps_have_no_period(numbered):
     time = np.maximum(0, np.arange(2400) - 1500) * 1_000_000
     sequence = np.arange(2400) if numbered else np.zeros(2400, dtype=np.int64)
     assert np.isnan(true_period(time, sequence))
+
+
+def test_losses_are_unknown_where_the_numbers_count_something_else():
+    """A publisher that feeds two topics in turn, and numbers behind a chunk that was repaired."""
+    time = np.arange(5000) * 2_000_000
+    assert timing(time, 2 * np.arange(5000)).lost is None
+    assert timing(time, np.arange(5000) + np.where(np.arange(5000) > 2500, 1_673_335, 0)).lost is None
+    kept = np.delete(np.arange(5000), slice(100, 2000, 2))
+    assert timing(time[kept], kept + 7).lost == 950

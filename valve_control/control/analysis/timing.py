@@ -12,6 +12,7 @@ from valve_control.arrays import Floats, Integers
 from valve_control.control.analysis.indices import PAUSE
 
 LATE = 1.5  # periods between two messages from which on it is a gap
+MOST_SENT = 1.5  # times as many messages as fit into the time at their usual interval can have been sent
 APART = 100  # readings between the two whose distance in time is measured
 LEAP = 5.0  # periods by which time leaps away from the readings' numbers where it is not jitter
 SURE = 2000  # readings before and after it that must agree
@@ -69,6 +70,9 @@ def timing(time: Integers, sequence: Integers) -> Timing:
     numbers = np.diff(sequence) if lost_messages(sequence) is not None else np.ones(len(intervals))
     paused = (intervals > PAUSE * period) & (numbers * period < 0.5 * intervals)
     span = float(time[-1] - time[0]) * 1e-9 - float(np.sum(intervals[paused] - period))
+    lost = lost_messages(sequence)
+    if lost is not None and len(time) + lost > MOST_SENT * span / period + APART:
+        lost = None  # more than were sent: the numbers count something else too
     return Timing(
         messages=len(time),
         rate_hz=len(intervals) / span if span > 0.0 else np.nan,
@@ -76,7 +80,7 @@ def timing(time: Integers, sequence: Integers) -> Timing:
         jitter_s=spread(np.abs(intervals - period)),
         gaps=int(np.count_nonzero(intervals > LATE * period)),
         longest_gap_s=float(np.max(intervals)),
-        lost=lost_messages(sequence),
+        lost=lost,
     )
 
 
