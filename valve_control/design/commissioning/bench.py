@@ -19,7 +19,7 @@ PUBLISHERS = {"command_publishers", "trajectory_publishers", "lvdt_publishers", 
 ENDS = {"saturation", *PUBLISHERS}
 # With 0 V: readings stopped or were late, or the controller or its host stood still. What else is reported
 # then may follow from it. If it does not, it is there without a pause too, when the stretch is repeated.
-PAUSES = {"lvdt_silent", "lvdt_missing", "lvdt_period", "stalled"}
+PAUSES = {"lvdt_silent", "lvdt_missing", "lvdt_period", "lvdt_bridged", "stalled"}
 Elapsed = Callable[[float], None]  # gets the time [s] of a course that is over
 Progress = Callable[[float, float], None]  # sets of gains that are over, of about how many
 
