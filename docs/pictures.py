@@ -4,7 +4,7 @@
 
 Without a name it makes all of them. Each function below is one picture. It runs
 the commands of its page in a temporary folder and draws their results, or takes a picture of their report in
-Chromium. The pictures that other commands make are axes.png (``make axis``),
+Chromium. The pictures that other commands make are demo.png (``make demo``), axes.png (``make axis``),
 compare_tuned.png (``make tuned``) and dashboard_*.png (the page itself).
 """
 
@@ -227,12 +227,6 @@ def live_change(path: Path) -> None:
     """The cascade over DDS, its gains and its law changed while it runs."""
     my_recording()
     recorded(path, changes(), "cascade over DDS: a gain and the law are changed while it runs")
-
-
-@picture
-def demo(path: Path) -> None:
-    """The run of the README: one valve without control, under the best PID, and under dcarc."""
-    valve_control("demo", "--figure", str(path))
 
 
 @picture

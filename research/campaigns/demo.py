@@ -4,7 +4,7 @@
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -112,9 +112,14 @@ def answer_shift(reading_times: Floats, voltage_times: Floats) -> int:
     return min(answered, key=lags.__getitem__)
 
 
+def command_topic(topics: Iterable[str]) -> str:
+    """The one of ``topics`` that has the command."""
+    return next(topic for topic in topics if topic in ("spool_command", "spool_trajectory"))
+
+
 def measure(listener: Listener, period: float, duration: float) -> Measured:
     """Align the three topics over ``duration`` [s] from the first command on."""
-    commands, command_times = listener.arrays("spool_command")
+    commands, command_times = listener.arrays(command_topic(listener.values))
     readings, reading_times = listener.arrays("spool_position")
     voltages, voltage_times = listener.arrays("valve_voltage")
     inside = np.flatnonzero(
@@ -163,7 +168,8 @@ def run_cascade(run: DemoRun, folder: Path, progress: tqdm) -> Measured:
     duration = float(str(values["command_source"]["duration"]))
     period = float(str(values["controller"]["sample_period"]))
     log = {node: folder / f"{run.name}_{node}.log" for node in PARTIES}
-    listener = Listener("demo")
+    points = run.settings.get("message") == "trajectory"
+    listener = Listener("demo", ("spool_trajectory" if points else "spool_command", *TOPICS[1:]))
     try:
         with process(
             "controller", node_arguments("controller", run.files, run.settings), log["controller"]
@@ -190,7 +196,7 @@ def run_cascade(run: DemoRun, folder: Path, progress: tqdm) -> Measured:
 
                     def begun() -> bool:
                         listener.fetch()
-                        return len(listener.values["spool_command"]) > 0
+                        return len(listener.values[command_topic(listener.values)]) > 0
 
                     wait_until(begun, "the command", children)
                     _watch(listener, duration, progress, children)
@@ -232,8 +238,13 @@ def offline_twin(run: DemoRun, measured: Measured) -> tuple[Indices, str]:
     values = values_of(run)
     waiting = np.full(measured.lead, measured.held)
     command = np.concatenate([waiting, build.commands(values["command_source"])])
+    points = values["command_source"]["message"] == "trajectory"
     twin = offline.simulate(
-        values["controller"], values["valve_simulator"], command, noise_start=measured.joined
+        values["controller"],
+        values["valve_simulator"],
+        command,
+        noise_start=measured.joined,
+        derivatives=build.derivatives(command, measured.period) if points else None,
     )
     error, voltage = (twin.measurement - twin.command)[measured.lead :], twin.voltage[measured.lead :]
     kept = np.ones(len(error), dtype=np.bool_)

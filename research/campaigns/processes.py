@@ -29,6 +29,8 @@ from valve_control.control.parameters.arguments import matches
 from valve_control.nodes.adapter import (
     EVERYTHING,
     NumberSubscription,
+    PointSubscription,
+    TrajectoryPoint,
     number_of,
 )
 from valve_control.nodes.transport import (
@@ -114,7 +116,8 @@ class Listener(Node):
 
     def __init__(self, name: str, topics: Sequence[str] = TOPICS) -> None:
         super().__init__(name)
-        self._topics: dict[str, NumberSubscription] = {}
+        self._topics: dict[str, NumberSubscription | PointSubscription] = {}
+        self._points: dict[str, list[int]] = {}  # topic of a trajectory → times [ns] of its points
         self.values: dict[str, array[float]] = {}
         self.stamps: dict[str, array[int]] = {}
         self.sequence: dict[str, array[int]] = {}
@@ -126,19 +129,29 @@ class Listener(Node):
         self.values[topic] = array("d")
         self.stamps[topic] = array("q")
         self.sequence[topic] = array("q")
-        self._topics[topic] = NumberSubscription(self, topic, EVERYTHING)
+        if topic.endswith("spool_trajectory"):
+            self._points[topic] = []
+            self._topics[topic] = PointSubscription(self, topic, EVERYTHING)
+        else:
+            self._topics[topic] = NumberSubscription(self, topic, EVERYTHING)
 
     def fetch(self) -> None:
         """Take what has arrived since the last call."""
         for topic, subscription in self._topics.items():
-            for number, info in subscription.take():
-                self.values[topic].append(number)
+            for value, info in subscription.take():
+                if isinstance(value, TrajectoryPoint):
+                    self._points[topic].append(value.time)
+                self.values[topic].append(value.positions[0] if isinstance(value, TrajectoryPoint) else value)
                 self.stamps[topic].append(info["source_timestamp"])
                 self.sequence[topic].append(number_of(info))
 
     def arrays(self, topic: str) -> tuple[Floats, Floats]:
-        """Values [V] and source times [s] of ``topic``."""
-        return np.array(self.values[topic]), np.array(self.stamps[topic]) * 1e-9
+        """Values [V] and source times [s] of ``topic``; of points their own times, by the same clock."""
+        stamps = np.array(self.stamps[topic])
+        if topic in self._points:
+            points = np.array(self._points[topic])
+            stamps = points + np.min(stamps - points)  # the soonest one was sent in time
+        return np.array(self.values[topic]), stamps * 1e-9
 
 
 def wait_until(

@@ -17,7 +17,7 @@ from valve_control.control.analysis.indices import indices
 from valve_control.control.parameters import build, files, ros_file
 from valve_control.control.parameters.table import NODES
 from valve_control.control.simulation import offline
-from valve_control.parameter import Value, Values, defaults, updated
+from valve_control.parameter import Value, Values, defaults, number, updated
 
 LAWS = {  # in config/demo, and how the table calls them
     "open_loop": "uncontrolled",
@@ -43,7 +43,8 @@ def files_of(law: str) -> tuple[str, ...]:
 
 def motion() -> dict[str, Value]:
     """Parameters of the command source."""
-    return {"scenario": "array", "command_file": str(ros_file.config_folder() / "commands/demo.csv")}
+    file = str(ros_file.config_folder() / "commands/demo.csv")
+    return {"scenario": "array", "command_file": file, "message": "trajectory"}
 
 
 def values_of(law: str) -> dict[str, Values]:
@@ -110,7 +111,10 @@ def _demo(arguments: argparse.Namespace) -> None:
     for law in LAWS:
         values = values_of(law)
         command = build.commands(values["command_source"])
-        run = offline.simulate(values["controller"], values["valve_simulator"], command, compiled=False)
+        moved = build.derivatives(command, number(values["controller"], "sample_period"))
+        run = offline.simulate(
+            values["controller"], values["valve_simulator"], command, compiled=False, derivatives=moved
+        )
         traces[law] = Trace(run.time, run.command, run.measurement, run.voltage)
         text, errors[law] = line(law, traces[law])
         print(text, flush=True)

@@ -2,14 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the node `command_source`: stands in for the upper-level hydraulic controller, and for its faults."""
 
+import functools
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from rclpy.parameter import Parameter
+from scipy.interpolate import Akima1DInterpolator
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectoryPoint
 
@@ -58,7 +60,6 @@ class CommandSource(Worker):
         self._last_time = 0.0  # s  of the last command
         self._sent = 0
         self._arrived = 0  # messages of the trigger, lost ones too
-        self._shape: scenarios.Shape | None = None  # of motions that are known between the samples too
         self._number = 0  # of the last one, 0 where they have none
         self._ahead = False  # lockstep: whether the command of the next reading is sent
         ParameterSet(self, COMMAND, self._build, self._apply)
@@ -86,7 +87,11 @@ class CommandSource(Worker):
         if shaped_by == self._shaped_by:
             return
         self._shaped_by = shaped_by
-        self._shape = None if values["scenario"] == "array" else build.shape(values)
+        times = np.arange(len(commands)) * number(values, "sample_period")
+        # Between the samples too: a late timer sends the command of its time.
+        self._motion: Callable[[float], Any] = Akima1DInterpolator(times, commands)
+        if values["scenario"] != "array":
+            self._motion = functools.partial(scenarios.command, build.shape(values))
         message = word(values, "message")
         if message != self._message:
             if self._publisher is not None:
@@ -202,10 +207,8 @@ class CommandSource(Worker):
                 self._done = True
                 self.get_logger().info("done, holds the last command")
         command = float(self._commands[index])
-        if (
-            self._trigger == "timer" and self._shape is not None and not trajectory
-        ):  # a time stamp tells when it is sent
-            command = scenarios.command(self._shape, min(time, (len(self._commands) - 1) * self._period))
+        if self._trigger == "timer" and not trajectory:  # a time stamp tells when it is sent
+            command = float(self._motion(min(max(time, 0.0), (len(self._commands) - 1) * self._period)))
         if self._fault == "not_finite":
             command = math.nan
         elif self._fault == "out_of_range":
