@@ -48,12 +48,11 @@ class CommandSource(Worker):
         self._topic = ""  # of it
         self._shaped_by: list[Any] = []
         self._commands: list[float] = []
-        self._rates: list[float] = []
-        self._accels: list[float] = []
+        self._motion: Callable[[float], Any] = float  # V  at the time [s] at which a late timer sends it
+        self._rates, self._accels = list[float](), list[float]()
         self._message = ""
         self._publisher: Any = None
-        self._fault = "none"
-        self._fault_left = 0
+        self._fault, self._fault_left = "none", 0
         self._second: Any = None
         self._next = 0.0
         self._epoch = 0.0  # s  of the first command of this motion
@@ -87,10 +86,11 @@ class CommandSource(Worker):
         if shaped_by == self._shaped_by:
             return
         self._shaped_by = shaped_by
-        times = np.arange(len(commands)) * number(values, "sample_period")
-        # Between the samples too: a late timer sends the command of its time.
-        self._motion: Callable[[float], Any] = Akima1DInterpolator(times, commands)
-        if values["scenario"] != "array":
+        if values["scenario"] == "array":
+            held = np.append(commands, commands[-1])
+            times = np.arange(len(held)) * number(values, "sample_period")
+            self._motion = Akima1DInterpolator(times, held)  # overshoots no step
+        else:
             self._motion = functools.partial(scenarios.command, build.shape(values))
         message = word(values, "message")
         if message != self._message:
