@@ -34,7 +34,7 @@ def verification(former, measured, chatter=None):
     def made(pair):
         return Indices(0.1, 0.1, pair[0], 1.0, pair[1])
 
-    record = Record(PERIOD, WANTED, WANTED, WANTED)
+    record = Record(PERIOD, WANTED + measured[0], WANTED, WANTED)
     return gains.Verification(record, made(measured), made(measured), made(former), [])
 
 

@@ -68,10 +68,10 @@ def time_in(spent: dict[str, float]) -> str:
 
 
 def listed(spells: list[Spell], most: int) -> list[Spell]:
-    """At most so many spells that are not ok, the gravest and longest first."""
+    """At most so many spells that are not ok, in order of time; of more than LISTED the gravest first."""
     found = [spell for spell in spells if spell.listed and spell.mode is not Mode.OK]
     found.sort(key=lambda spell: (spell.mode is not Mode.SAFE, -spell.duration_s))
-    return found[:most]
+    return found[:most] if len(found) > LISTED else sorted(found, key=lambda spell: spell.start_s)
 
 
 def _index_rows(part: Part) -> list[tuple[str, str, Indices, str]]:
