@@ -66,9 +66,8 @@ def test_from_first_to_last_step():
         shares = np.array([done / total for step, done, total in steps.reports if step == name])
         assert shares[0] <= 0.01 and shares[-1] == 1.0 and np.all(np.diff(shares) >= 0.0), name
     assert found.tuned.chatter == PLAN.chatter  # no quieter search, since the run is not LOUD
-    # A second search asks twice more, a run with the parameters from before once.
-    against = found.verification.before is not None
-    assert len(steps.asked) == 6 + 2 * len(steps.refusals) + against and valve.active
+    rivals = found.verification.before is not None  # a run with them asks once more, a second search twice
+    assert len(steps.asked) == 6 + 2 * len(steps.refusals) + rivals and valve.active
     assert valve.values() == {**before, **found.applied}
     assert found.applied["controller"] == "dcarc" and "u_max" not in found.applied
     assert {name.split(".")[0] for name in found.applied} <= {"controller", "dcarc", "arc", "reshaping"}
