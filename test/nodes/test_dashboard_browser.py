@@ -316,7 +316,7 @@ def test_a_killed_controller_is_seen_and_its_successor_too(page, tmp_path, ros):
 
 def test_a_recording_is_begun_and_ended(page, folder):
     page.press("#record")
-    page.wait_for("#record-state", "parameters of /controller")
+    page.wait_for("#record-state", "parameters of /")
     page.press("#record")
     page.wait_for("#record-state", "recorded")
     bag = Path(page.text("#record-state").split()[1])
