@@ -12,7 +12,6 @@ LAWS = tuple(registry.LAWS) if FULL else ("arc", "compensator")  # under faults;
 
 VALVES = 10_000 if FULL else 2_000  # of the study's box, for each law and scenario
 PARAMETER_SETS = 100_000 if FULL else 20_000
-JOINERS = 200 if FULL else 30  # killed
 INTERRUPTED_RUNS = 100 if FULL else 40
 INTERRUPTED_COMMANDS = 20 if FULL else 8  # of each kind
 INTERRUPTED_IMPORTS = 20 if FULL else 4  # of each program

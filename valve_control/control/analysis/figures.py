@@ -32,15 +32,11 @@ class Line(NamedTuple):
 
 
 class Band(NamedTuple):
-    """A coloured stretch of the horizontal axis, in all plots or as a strip in one."""
+    """A coloured stretch of the horizontal axis, in all plots."""
 
     start: float
     end: float
     colour: str
-    opacity: float = 0.2
-    plot: int | None = None  # which one, None: all
-    low: float = 0.0  # part of its height from which ...
-    high: float = 1.0  # ... to which it reaches
 
 
 class Plot(NamedTuple):

@@ -93,8 +93,7 @@ def _shape(band: Band) -> dict[str, Any]:
     """A band as a shape of plotly; its edge makes it visible where it is narrower than a pixel."""
     return {
         "type": "rect", "layer": "below", "xref": "x", "x0": band.start, "x1": band.end,
-        "yref": "paper" if band.plot is None else f"y{band.plot + 1 if band.plot else ''} domain",
-        "y0": band.low, "y1": band.high, "fillcolor": band.colour, "opacity": band.opacity,
+        "yref": "paper", "y0": 0.0, "y1": 1.0, "fillcolor": band.colour, "opacity": 0.2,
         "line": {"width": 1, "color": band.colour},
     }  # fmt: skip
 
