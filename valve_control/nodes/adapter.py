@@ -4,7 +4,8 @@
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from struct import error as StructError
 from struct import pack, unpack_from
 from typing import Any, NamedTuple
@@ -342,15 +343,37 @@ def acquainted(node: Node, publisher: Any, topic: str) -> bool:
     )
 
 
-def diagnostics(node: Node, level: bytes, message: str, values: dict[str, Any]) -> DiagnosticArray:
-    """One status of ``node`` with its values as text."""
-    status = DiagnosticStatus(
-        level=level,
-        name=node.get_fully_qualified_name().lstrip("/"),
-        hardware_id=node.get_namespace(),
-        message=message,
-        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-    )
-    array = DiagnosticArray(status=[status])
-    array.header.stamp = node.get_clock().now().to_msg()
-    return array
+class Diagnostics:
+    """Publishes what a node says of itself on /diagnostics, in pieces between two readings.
+
+    All at once it takes 5 to 12 ms of a virtual core whose caches have forgotten it since the last second.
+    """
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+        self.publisher = node.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+
+    def tell(self, level: bytes, message: str, figures: Iterable[dict[str, Any]]) -> None:
+        """Publish a status with its ``figures``, each part of them in a piece of its own."""
+        pieces = self._pieces(level, message, figures, self._node.get_clock().now().to_msg())
+        self._node.pieces = chain(self._node.pieces, pieces)
+
+    def _pieces(
+        self, level: bytes, message: str, figures: Iterable[dict[str, Any]], stamp: Any
+    ) -> Iterator[None]:
+        values: dict[str, Any] = {}
+        for part in figures:
+            values |= part
+            yield
+        status = DiagnosticStatus(
+            level=level,
+            name=self._node.get_fully_qualified_name().lstrip("/"),
+            hardware_id=self._node.get_namespace(),
+            message=message,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = stamp
+        yield
+        self.publisher.publish(array)
+        yield

@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.clock import Clock, ClockType
@@ -27,10 +27,10 @@ from valve_control.control.supervision.record import Mode
 from valve_control.nodes.adapter import (
     NEWEST,
     SAMPLES,
+    Diagnostics,
     NumberSubscription,
     ParameterSet,
     PolledSubscription,
-    diagnostics,
     encoded,
     encoded_point,
     number_of,
@@ -77,7 +77,7 @@ class AxisController(Managed):
         self._waits_since = NEVER  # s  first reading without pressures that the upper level needs
         self._paired = False  # lockstep: whether both pressures are those of the reading
         self._said: tuple[Mode, str] | None = None
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+        self._diagnostics = Diagnostics(self)
         ParameterSet(self, AXIS_CONTROLLER, self._build, self._apply)
         self._life = self.create_client(ChangeState, f"{word(self._values, 'stop.controller')}/change_state")
         self.create_service(Trigger, "~/stop", self._on_stop)
@@ -402,7 +402,7 @@ class AxisController(Managed):
             "command_V": f"{s.command:.4f}",
             **axis_supervisor.estimates(self._params, s),
         }
-        self._diagnostics.publish(diagnostics(self, level, text, values))
+        self._diagnostics.tell(level, text, (values,))
 
     def deliver(self) -> None:
         """Wait until the last command is acknowledged."""

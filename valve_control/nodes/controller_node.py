@@ -5,10 +5,11 @@
 import math
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Any, NamedTuple
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
@@ -31,13 +32,13 @@ from valve_control.nodes.adapter import (
     NEWEST,
     SAMPLES,
     UNKNOWN,
+    Diagnostics,
     NumberSubscription,
     ParameterSet,
     PointSubscription,
     PolledSubscription,
     TrajectoryPoint,
     acquainted,
-    diagnostics,
     encoded,
     number_of,
 )
@@ -113,7 +114,7 @@ class Controller(Managed):
         self._unchecked = False
         self._unnumbered = False  # whether the middleware has numbered no reading
         self._realtime: realtime.Request | None = None
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+        self._diagnostics = Diagnostics(self)
         self._settings = ParameterSet(self, self.table, self._build, self._apply, alone)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save_parameters", self._on_save)
@@ -513,21 +514,25 @@ class Controller(Managed):
         if now != self._said:
             before = self._said[0].name.lower() if self._said else "off"
             text = f"{before} → {now[0].name.lower()}: {now[1]}"
-            if self._said is None or now[0] is Mode.OK:
-                self.get_logger().info(text)
-            elif now[0] is Mode.SAFE:
-                self.get_logger().error(text)
-            else:
-                self.get_logger().warning(text)
+            self.pieces = chain(self.pieces, self._logged(Mode.OK if self._said is None else now[0], text))
             self._said = now
         self._publish_diagnostics()
+
+    def _logged(self, mode: Mode, text: str) -> Iterator[None]:
+        if mode is Mode.OK:
+            self.get_logger().info(text)
+        elif mode is Mode.SAFE:
+            self.get_logger().error(text)
+        else:
+            self.get_logger().warning(text)
+        yield
 
     def _diagnose(self) -> None:
         self._check_stability()
         self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
-        self._diagnostics.publish(diagnostics(self, *self._status(), self._figures()))
+        self._diagnostics.tell(*self._status(), self._figures())
 
     def _status(self) -> tuple[bytes, str]:
         """Level and sentence of the diagnostics."""
@@ -537,7 +542,7 @@ class Controller(Managed):
             return DiagnosticStatus.ERROR, f"{STANDS_BY}; {self._supervisor.reason}"
         return LEVELS[self._supervisor.mode], self._supervisor.reason
 
-    def _figures(self) -> dict[str, Any]:
+    def _figures(self) -> Iterator[dict[str, Any]]:
         supervisor, memory = self._supervisor, self._supervisor.memory
         values: dict[str, Any] = {
             "controller": supervisor.name,
@@ -553,8 +558,11 @@ class Controller(Managed):
             values["saturation_share"] = f"{memory.counts['saturated'] / memory.samples:.4f}"
         if math.isfinite(self._last_command):
             values["command_age_s"] = f"{time.monotonic() - self._last_command:.4f}"
-        values |= self._timing.figures(self._period)
+        yield values
+        yield from self._timing.figures(self._period)
+        values = {}
         if supervisor.theta is not None:
             values["theta"] = ", ".join(f"{v:.6g}" for v in supervisor.theta)
         values |= {name: f"{v:.6g}" for name, v in supervisor.assumed.items()}
-        return {**values, **realtime.obtained(), "pid": os.getpid()}
+        yield values
+        yield {**realtime.obtained(), "pid": os.getpid()}

@@ -13,7 +13,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, TypeVar
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
@@ -23,11 +23,10 @@ from valve_control.control.parameters.table import RECORDER
 from valve_control.inputs import expanded
 from valve_control.nodes.adapter import (
     EVERYTHING,
-    SAMPLES,
     UNKNOWN,
+    Diagnostics,
     ParameterSet,
     PolledSubscription,
-    diagnostics,
     number_of,
 )
 from valve_control.nodes.definitions import Definition, Definitions, message_class
@@ -223,7 +222,7 @@ class Recorder(Worker):
         self._overlooked: dict[str, str] = {}  # what a controller takes and no pattern names → what is said
         self._warnings: set[str] = set()  # that hold now
         self._logged: set[str] = set()  # warnings
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+        self._diagnostics = Diagnostics(self)
         self._definitions = Definitions()
         self._failed = False
         self._unnumbered = False  # whether there is a topic whose messages have no numbers
@@ -323,7 +322,7 @@ class Recorder(Worker):
     def _fail(self, reason: str) -> NoReturn:
         self._failed = True
         reason = outputs.printable(reason)
-        self._diagnostics.publish(diagnostics(self, DiagnosticStatus.ERROR, reason, self._figures()))
+        self._diagnostics.tell(DiagnosticStatus.ERROR, reason, (self._figures(),))
         raise Failure(reason)
 
     # The graph
@@ -421,7 +420,7 @@ class Recorder(Worker):
         level, text = DiagnosticStatus.OK, "recording"
         if self._warnings:
             level, text = DiagnosticStatus.WARN, "; ".join(sorted(self._warnings))
-        self._diagnostics.publish(diagnostics(self, level, text, self._figures()))
+        self._diagnostics.tell(level, text, (self._figures(),))
 
     def _figures(self) -> dict[str, Any]:
         return {
@@ -435,7 +434,7 @@ class Recorder(Worker):
     def deliver(self) -> None:
         """Wait until the reason of the end has arrived."""
         if self._failed:
-            self._diagnostics.wait_for_all_acked(Duration(seconds=LAST_WORD))
+            self._diagnostics.publisher.wait_for_all_acked(Duration(seconds=LAST_WORD))
 
     def _lost(self) -> str:
         return "unknown" if self._unnumbered else str(sum(topic.lost for topic in self._topics.values()))

@@ -9,11 +9,11 @@ import math
 import sys
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -28,9 +28,9 @@ from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     NEWEST,
     SAMPLES,
+    Diagnostics,
     NumberSubscription,
     ParameterSet,
-    diagnostics,
     encoded,
 )
 from valve_control.nodes.device_node import LEVELS, MOST_MISSING, DeviceNode
@@ -70,7 +70,7 @@ class ValveDriver(DeviceNode):
         self._answers: deque[float] = deque(maxlen=WINDOW)  # s from a reading to its voltage
         self._counts = dict.fromkeys(("late_voltages", "voltage_refused", "voltage_timeouts"), 0)
         self._realtime: realtime.Request | None = None
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+        self._diagnostics = Diagnostics(self)
         ParameterSet(self, VALVE_DRIVER, self._build, self._apply)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -252,11 +252,11 @@ class ValveDriver(DeviceNode):
             level, text = LEVELS[conditions[0].level], "; ".join(c.text for c in conditions)
         elif not self._fed:
             text = "waiting for valve_voltage, the output is at 0 V"
-        self._diagnostics.publish(diagnostics(self, level, text, self._figures(conditions)))
+        self._diagnostics.tell(level, text, self._figures(conditions))
 
-    def _figures(self, conditions: tuple[Condition, ...]) -> dict[str, Any]:
+    def _figures(self, conditions: tuple[Condition, ...]) -> Iterator[dict[str, Any]]:
         device = self._device
-        values: dict[str, Any] = {
+        yield {
             "driver": word(self.device_values, "driver"),
             "conditions": ", ".join(condition.name for condition in conditions),
             "readings": 0 if device is None else device.readings,
@@ -266,9 +266,9 @@ class ValveDriver(DeviceNode):
             "position_V": f"{self._position:.4f}",
             "voltage_V": f"{self._voltage:.4f}",
         }
-        values |= of_periods(self._arrivals, number(self.device_values, "sample_period"))
-        values |= spread("answer_ms", self._answers)
-        return {**values, **realtime.obtained()}
+        yield of_periods(self._arrivals, number(self.device_values, "sample_period"))
+        yield spread("answer_ms", self._answers)
+        yield realtime.obtained()
 
 
 def check(arguments: Sequence[str]) -> int:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -24,10 +24,10 @@ from valve_control.control.plant.plant import Plant
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     SAMPLES,
+    Diagnostics,
     NumberSubscription,
     ParameterSet,
     acquainted,
-    diagnostics,
     encoded,
 )
 from valve_control.nodes.lifecycle import Managed
@@ -96,7 +96,7 @@ class ValveSimulator(Managed):
             ("late_voltages", "voltage_refused", "voltage_timeouts", "samples_skipped", "resent"), 0
         )
         self._clock_message = ClockMessage()
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+        self._diagnostics = Diagnostics(self)
         ParameterSet(self, VALVE, self._build, self._apply, alone)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         for sentence in registry.REFUSED:
@@ -359,7 +359,6 @@ class ValveSimulator(Managed):
             "voltage_V": f"{self._voltage:.4f}",
             "fault.lvdt": self._fault[0],
             "fault.valve": self._fault[1],
-            **realtime.obtained(),
         }
         level, text = DiagnosticStatus.OK, "simulating"
         if not self.working:
@@ -368,7 +367,8 @@ class ValveSimulator(Managed):
             level, text = DiagnosticStatus.ERROR, "no voltage: 0 V, the spring centres the spool"
         elif self._fault != ("none", "none"):
             level, text = DiagnosticStatus.WARN, "simulating a fault"
-        self._diagnostics.publish(diagnostics(self, level, text, values))
+        figures = (of() for of in (lambda: values, realtime.obtained))
+        self._diagnostics.tell(level, text, figures)
 
 
 def main() -> int:
