@@ -6,6 +6,7 @@ import changed
 import pytest
 
 from valve_control.control.laws import design
+from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
 from valve_control.control.plant.models import TransferFunction
 from valve_control.parameter import ParameterError
@@ -67,3 +68,27 @@ def test_a_compensator_is_not_designed(model, bandwidth, said):
     with pytest.raises(ParameterError) as error:
         design.pole_zero_compensator(TransferFunction(*model), bandwidth)
     assert said in str(error.value)
+
+
+class Noted(dict):
+    """Values that note which of them are read."""
+
+    def __init__(self, values):
+        super().__init__(values)
+        self.read = set()
+
+    def __getitem__(self, name):
+        self.read.add(name)
+        return super().__getitem__(name)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_only_what_changed_is_built_again(law):
+    """A law reads no other law's parameters: so an accepted one stays as it is when another changes."""
+    values = Noted(changed.controller())
+    LAWS[law].build(values)
+    assert values.read and {n.partition(".")[0] for n in values.read} & LAWS.keys() <= {law}
+    refused = changed.controller(oarc__theta_min=[-1e6, -1e6, 0.0, -1e6])
+    assert build.law_params(refused, {**refused, "arc.k1": 1.0}) == build.law_params(changed.controller())
+    with pytest.raises(ParameterError, match="oarc.theta_min"):
+        build.law_params(refused, changed.controller())

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
+from threading import Thread
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -104,6 +105,7 @@ class Controller(Managed):
         self._last_number = 0  # of a reading before the first that is used
         self._counts: dict[str, int] = {}  # of publishers, by topic
         self._strange: dict[str, int] = {}  # of those with another message type
+        self._values: Values = {}
         self._rivals = Rivals(self)
         self._telemetry = Telemetry(self)
         self._journal_topics = JournalTopics(self, self._journal, self._supervisor)
@@ -112,6 +114,7 @@ class Controller(Managed):
         self._commanded = False  # whether there has been an upper level
         self._published = 0  # ns, when the last voltage was
         self._unchecked = False
+        self._checking = Thread()
         self._unnumbered = False  # whether the middleware has numbered no reading
         self._realtime: realtime.Request | None = None
         self._diagnostics = Diagnostics(self)
@@ -123,6 +126,7 @@ class Controller(Managed):
         self.create_timer(1.0, self._diagnose, clock=steady)
         self.create_timer(WATCH_GRAPH, self._watch_graph, clock=steady)
         self._check_stability()
+        self._checking.join()
         if self._values["autostart"]:
             self.autostart()
 
@@ -130,7 +134,7 @@ class Controller(Managed):
         if refusal := self._supervisor.period_refusal(parameter.number(values, "sample_period")):
             raise ParameterError(refusal)
         chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
-        return Built(build.law_params(values), realtime.request(values), named_terms(chosen))
+        return Built(build.law_params(values, self._values), realtime.request(values), named_terms(chosen))
 
     def _apply(self, values: Values, built: Built) -> None:
         params, wanted, terms = built
@@ -449,15 +453,18 @@ class Controller(Managed):
             self.begin()
 
     def _check_stability(self) -> None:
-        """Warn about unstable gains; after they are in use, since the check takes longer than a period."""
+        """Warn about unstable gains: in a thread, since the check takes up to twenty periods."""
         if self._unchecked:
-            from valve_control.control.linear import stability  # with all plants; here it is before the loop
-
             self._unchecked = False
-            law, values = LAWS[self._supervisor.name], self._supervisor.values
-            text = stability.warning(law, self._params) or stability.coil_warning(law, self._params, values)
-            if text:
-                self.get_logger().warning(text)
+            law, params, values = LAWS[self._supervisor.name], self._params, self._supervisor.values
+            self._checking = Thread(target=self._warn_of, args=(law, params, values))
+            self._checking.start()
+
+    def _warn_of(self, law: Any, params: Any, values: Values) -> None:
+        from valve_control.control.linear import stability  # with all plants; the first time before the loop
+
+        if text := stability.warning(law, params) or stability.coil_warning(law, params, values):
+            self.get_logger().warning(text)
 
     # Services
 

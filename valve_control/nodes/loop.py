@@ -34,6 +34,7 @@ from valve_control.parameter import ParameterError
 CHORES = 0.05  # s between two looks at a node's timers beside samples ...
 IDLE_CHORES = 0.01  # s  ... and while there are none; at most twice that
 CALM = 0.01  # s without a sample, after which services need not wait for the next
+SWITCH = 1e-4  # s after which another thread gives way to the loop
 STALL = 0.01  # s; the loop wakes on time unless its process stood still
 # Between two looks of the executor at a node that has only timers and polled subscriptions: without samples,
 # and beside them. A look takes 2 to 6 ms there, and only tells of another quality of service.
@@ -153,6 +154,7 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
         # A collection of everything that the imports brought takes tens of milliseconds, many samples.
         gc.collect()
         gc.freeze()
+        sys.setswitchinterval(SWITCH)
         _loop(nodes, chores, reception)
     except ParameterError as error:
         print(f"valve_control: {error}", file=sys.stderr)

@@ -163,12 +163,14 @@ class Reception:
         else:
             asked = server.request.to_python(request.message)
             server.request.destroy(request.message)
+            yield  # a sample's turn: each part takes milliseconds
             response = service.srv_type.Response()
             try:
                 if service.srv_type is SetParameters:
                     yield from _set_one_by_one(server.node, asked, response)
                 else:
                     response = service.callback(asked, response)
+                yield
                 server.response.from_python(response, message)
             except Exception as error:  # whatever a client sends must not end the loop
                 server.node.get_logger().error(f"{service.service_name}: {error}")

@@ -21,13 +21,20 @@ if TYPE_CHECKING:
 OF_A_RUN = 9  # numbers of a sample: three signals, command, with its lead, noise, errors, limit cycle
 
 
-def law_params(values: Values) -> Any:
+def law_params(values: Values, accepted: Values | None = None) -> Any:
     """Params of the law that ``controller`` names.
 
-    Every other law is built too, so that a set that could not be switched to is refused at once.
-    Raises ParameterError.
+    Every other law is built too, so that a set that could not be switched to is refused at once; but not one
+    for which nothing has changed since ``accepted``, values that were built before. Raises ParameterError.
     """
-    return {name: law.build(values) for name, law in LAWS.items()}[word(values, "controller")]
+    chosen = word(values, "controller")
+    # The part before the dot is a law's name in its own parameters, which no other law reads.
+    changed = {name.partition(".")[0] for name in values if (accepted or {}).get(name) != values[name]}
+    return {
+        name: law.build(values)
+        for name, law in LAWS.items()
+        if name == chosen or not changed <= LAWS.keys() - {name}
+    }[chosen]
 
 
 def valve_model(values: Values) -> "TransferFunction":
