@@ -36,6 +36,7 @@ def test_each_fault(tmp_path, controller):
     entries = run_tool("faults", tmp_path, "--only", controller, "--seed", moments, *chosen, timeout=400)
     assert {e["controller"] for e in entries} == {controller}
     assert {e["fault"] for e in entries} == met(controller)
+    assert sum(e["repeated"] for e in entries) <= len(entries) / 3, entries
     for entry in entries:
         assert entry["recovered"] and entry["reaction_s"] <= entry["limit_s"], entry
         assert math.isfinite(entry["max_abs_voltage"]) and entry["max_abs_voltage"] <= 10.0

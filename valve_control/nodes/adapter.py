@@ -4,7 +4,7 @@
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from struct import error as StructError
 from struct import pack, unpack_from
@@ -353,15 +353,19 @@ class Diagnostics:
         self._node = node
         self.publisher = node.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
 
-    def tell(self, level: bytes, message: str, figures: Iterable[dict[str, Any]]) -> None:
-        """Publish a status with its ``figures``, each part of them in a piece of its own."""
-        pieces = self._pieces(level, message, figures, self._node.get_clock().now().to_msg())
+    def tell(self, level: bytes, message: str, figures: Iterator[dict[str, Any]]) -> None:
+        """Publish a status with its ``figures``: the first part is of now, the others are made in pieces."""
+        pieces = self._pieces(level, message, next(figures), figures, self._node.get_clock().now().to_msg())
         self._node.pieces = chain(self._node.pieces, pieces)
 
     def _pieces(
-        self, level: bytes, message: str, figures: Iterable[dict[str, Any]], stamp: Any
+        self,
+        level: bytes,
+        message: str,
+        values: dict[str, Any],
+        figures: Iterator[dict[str, Any]],
+        stamp: Any,
     ) -> Iterator[None]:
-        values: dict[str, Any] = {}
         for part in figures:
             values |= part
             yield

@@ -6,8 +6,8 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
-from threading import Thread
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -114,7 +114,7 @@ class Controller(Managed):
         self._commanded = False  # whether there has been an upper level
         self._published = 0  # ns, when the last voltage was
         self._unchecked = False
-        self._checking = Thread()
+        self._checker = ThreadPoolExecutor(1)  # a thread's start takes milliseconds where memory is locked
         self._unnumbered = False  # whether the middleware has numbered no reading
         self._realtime: realtime.Request | None = None
         self._diagnostics = Diagnostics(self)
@@ -126,7 +126,7 @@ class Controller(Managed):
         self.create_timer(1.0, self._diagnose, clock=steady)
         self.create_timer(WATCH_GRAPH, self._watch_graph, clock=steady)
         self._check_stability()
-        self._checking.join()
+        self._checker.submit(int).result()
         if self._values["autostart"]:
             self.autostart()
 
@@ -457,8 +457,7 @@ class Controller(Managed):
         if self._unchecked:
             self._unchecked = False
             law, params, values = LAWS[self._supervisor.name], self._params, self._supervisor.values
-            self._checking = Thread(target=self._warn_of, args=(law, params, values))
-            self._checking.start()
+            self._checker.submit(self._warn_of, law, params, values)
 
     def _warn_of(self, law: Any, params: Any, values: Values) -> None:
         from valve_control.control.linear import stability  # with all plants; the first time before the loop
@@ -549,13 +548,17 @@ class Controller(Managed):
             return DiagnosticStatus.ERROR, f"{STANDS_BY}; {self._supervisor.reason}"
         return LEVELS[self._supervisor.mode], self._supervisor.reason
 
+    def _conditions(self) -> list[str]:
+        """Names of what is not in order."""
+        return list(self._supervisor.conditions)
+
     def _figures(self) -> Iterator[dict[str, Any]]:
         supervisor, memory = self._supervisor, self._supervisor.memory
         values: dict[str, Any] = {
             "controller": supervisor.name,
             "active": self.working,
             "mode": supervisor.mode.name.lower(),
-            "conditions": ", ".join(supervisor.conditions),
+            "conditions": ", ".join(self._conditions()),
             "samples": memory.samples,
             **memory.counts,
             "overruns": self._timing.overruns,

@@ -209,9 +209,11 @@ class DeviceController(DeviceNode, Controller):
         levels = [level, *(LEVELS[condition.level] for condition in self._told)]
         return max(levels), "; ".join([text, *(condition.text for condition in self._told)])
 
+    def _conditions(self) -> list[str]:
+        return [*super()._conditions(), *(condition.name for condition in self._told)]
+
     def _figures(self) -> Iterator[dict[str, Any]]:
         yield from super()._figures()
-        names = [*self._supervisor.conditions, *(condition.name for condition in self._told)]
-        yield {"driver": word(self.device_values, "driver"), "conditions": ", ".join(names)}
+        yield {"driver": word(self.device_values, "driver")}
         if (device := self._device) is not None:
             yield {"lost": device.lost, "late": device.late, "reopened": device.reopened}
