@@ -349,9 +349,9 @@ class Diagnostics:
     All at once it takes 5 to 12 ms of a virtual core whose caches have forgotten it since the last second.
     """
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: Any, publisher: Any) -> None:
         self._node = node
-        self.publisher = node.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+        self.publisher = publisher
 
     def tell(self, level: bytes, message: str, figures: Iterator[dict[str, Any]]) -> None:
         """Publish a status with its ``figures``: the first part is of now, the others are made in pieces."""

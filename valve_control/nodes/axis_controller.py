@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.clock import Clock, ClockType
@@ -77,7 +77,7 @@ class AxisController(Managed):
         self._waits_since = NEVER  # s  first reading without pressures that the upper level needs
         self._paired = False  # lockstep: whether both pressures are those of the reading
         self._said: tuple[Mode, str] | None = None
-        self._diagnostics = Diagnostics(self)
+        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
         ParameterSet(self, AXIS_CONTROLLER, self._build, self._apply)
         self._life = self.create_client(ChangeState, f"{word(self._values, 'stop.controller')}/change_state")
         self.create_service(Trigger, "~/stop", self._on_stop)

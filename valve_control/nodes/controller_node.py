@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
 from typing import Any, NamedTuple
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
@@ -117,7 +117,7 @@ class Controller(Managed):
         self._checker = ThreadPoolExecutor(1)  # a thread's start takes milliseconds where memory is locked
         self._unnumbered = False  # whether the middleware has numbered no reading
         self._realtime: realtime.Request | None = None
-        self._diagnostics = Diagnostics(self)
+        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
         self._settings = ParameterSet(self, self.table, self._build, self._apply, alone)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save_parameters", self._on_save)

@@ -13,7 +13,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, TypeVar
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
@@ -23,6 +23,7 @@ from valve_control.control.parameters.table import RECORDER
 from valve_control.inputs import expanded
 from valve_control.nodes.adapter import (
     EVERYTHING,
+    SAMPLES,
     UNKNOWN,
     Diagnostics,
     ParameterSet,
@@ -222,7 +223,7 @@ class Recorder(Worker):
         self._overlooked: dict[str, str] = {}  # what a controller takes and no pattern names → what is said
         self._warnings: set[str] = set()  # that hold now
         self._logged: set[str] = set()  # warnings
-        self._diagnostics = Diagnostics(self)
+        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
         self._definitions = Definitions()
         self._failed = False
         self._unnumbered = False  # whether there is a topic whose messages have no numbers

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -70,7 +70,7 @@ class ValveDriver(DeviceNode):
         self._answers: deque[float] = deque(maxlen=WINDOW)  # s from a reading to its voltage
         self._counts = dict.fromkeys(("late_voltages", "voltage_refused", "voltage_timeouts"), 0)
         self._realtime: realtime.Request | None = None
-        self._diagnostics = Diagnostics(self)
+        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
         ParameterSet(self, VALVE_DRIVER, self._build, self._apply)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))

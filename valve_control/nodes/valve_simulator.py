@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -96,7 +96,7 @@ class ValveSimulator(Managed):
             ("late_voltages", "voltage_refused", "voltage_timeouts", "samples_skipped", "resent"), 0
         )
         self._clock_message = ClockMessage()
-        self._diagnostics = Diagnostics(self)
+        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
         ParameterSet(self, VALVE, self._build, self._apply, alone)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         for sentence in registry.REFUSED:
