@@ -410,7 +410,7 @@ def _injected(
 ) -> tuple[float, dict[str, Any]]:
     """Inject ``fault`` and wait until all is in order again; its time [s], and what it told."""
     if fault.parameter.startswith("fault."):
-        # The first change after some seconds may take 25 ms, in which a jump of the reading cannot be seen.
+        # The first change after some seconds may take 13 ms, in which a jump of the reading cannot be seen.
         campaign.set(fault.node, {"fault.samples": fault.samples})
     campaign.go_on(float(random.uniform(0.0, 1.0 / FREQUENCY)))
     if fault.value == "half":

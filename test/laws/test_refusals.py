@@ -71,11 +71,7 @@ def test_a_compensator_is_not_designed(model, bandwidth, said):
 
 
 class Noted(dict):
-    """Values that note which of them are read."""
-
-    def __init__(self, values):
-        super().__init__(values)
-        self.read = set()
+    """Values that note in ``read`` which of them are read."""
 
     def __getitem__(self, name):
         self.read.add(name)
@@ -86,6 +82,7 @@ class Noted(dict):
 def test_only_what_changed_is_built_again(law):
     """A law reads no other law's parameters: so an accepted one stays as it is when another changes."""
     values = Noted(changed.controller())
+    values.read = set()
     LAWS[law].build(values)
     assert values.read and {n.partition(".")[0] for n in values.read} & LAWS.keys() <= {law}
     refused = changed.controller(oarc__theta_min=[-1e6, -1e6, 0.0, -1e6])

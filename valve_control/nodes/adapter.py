@@ -5,7 +5,6 @@
 import contextlib
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import chain
 from struct import error as StructError
 from struct import pack, unpack_from
 from typing import Any, NamedTuple
@@ -353,21 +352,16 @@ class Diagnostics:
         self._node = node
         self.publisher = publisher
 
-    def tell(self, level: bytes, message: str, figures: Iterator[dict[str, Any]]) -> None:
-        """Publish a status with its ``figures``: the first part is of now, the others are made in pieces."""
-        pieces = self._pieces(level, message, next(figures), figures, self._node.get_clock().now().to_msg())
-        self._node.pieces = chain(self._node.pieces, pieces)
+    def tell(self, level: bytes, message: str, values: dict[str, Any], *later: Callable[[], Any]) -> None:
+        """Publish a status with ``values`` and those of each of ``later``, which is a piece of its own."""
+        stamp = self._node.get_clock().now().to_msg()
+        self._node.later(self._pieces(level, message, values, later, stamp))
 
     def _pieces(
-        self,
-        level: bytes,
-        message: str,
-        values: dict[str, Any],
-        figures: Iterator[dict[str, Any]],
-        stamp: Any,
+        self, level: bytes, message: str, values: dict[str, Any], later: Sequence[Any], stamp: Any
     ) -> Iterator[None]:
-        for part in figures:
-            values |= part
+        for part in later:
+            values |= part()
             yield
         status = DiagnosticStatus(
             level=level,

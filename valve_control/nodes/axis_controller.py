@@ -402,7 +402,7 @@ class AxisController(Managed):
             "command_V": f"{s.command:.4f}",
             **axis_supervisor.estimates(self._params, s),
         }
-        self._diagnostics.tell(level, text, iter((values,)))
+        self._diagnostics.tell(level, text, values)
 
     def deliver(self) -> None:
         """Wait until the last command is acknowledged."""

@@ -6,8 +6,8 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from itertools import chain
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -114,6 +114,7 @@ class Controller(Managed):
         self._commanded = False  # whether there has been an upper level
         self._published = 0  # ns, when the last voltage was
         self._unchecked = False
+        self._checked: Future[None]
         self._checker = ThreadPoolExecutor(1)  # a thread's start takes milliseconds where memory is locked
         self._unnumbered = False  # whether the middleware has numbered no reading
         self._realtime: realtime.Request | None = None
@@ -126,7 +127,7 @@ class Controller(Managed):
         self.create_timer(1.0, self._diagnose, clock=steady)
         self.create_timer(WATCH_GRAPH, self._watch_graph, clock=steady)
         self._check_stability()
-        self._checker.submit(int).result()
+        self._checked.result()
         if self._values["autostart"]:
             self.autostart()
 
@@ -457,7 +458,7 @@ class Controller(Managed):
         if self._unchecked:
             self._unchecked = False
             law, params, values = LAWS[self._supervisor.name], self._params, self._supervisor.values
-            self._checker.submit(self._warn_of, law, params, values)
+            self._checked = self._checker.submit(self._warn_of, law, params, values)
 
     def _warn_of(self, law: Any, params: Any, values: Values) -> None:
         from valve_control.control.linear import stability  # with all plants; the first time before the loop
@@ -520,7 +521,7 @@ class Controller(Managed):
         if now != self._said:
             before = self._said[0].name.lower() if self._said else "off"
             text = f"{before} → {now[0].name.lower()}: {now[1]}"
-            self.pieces = chain(self.pieces, self._logged(Mode.OK if self._said is None else now[0], text))
+            self.later(self._logged(Mode.OK if self._said is None else now[0], text))
             self._said = now
         self._publish_diagnostics()
 
@@ -534,11 +535,14 @@ class Controller(Managed):
         yield
 
     def _diagnose(self) -> None:
+        if self._checked.done():
+            self._checked.result()  # an error of the check ends the node, as any other does
         self._check_stability()
         self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
-        self._diagnostics.tell(*self._status(), self._figures())
+        figures = partial(self._timing.figures, self._period)
+        self._diagnostics.tell(*self._status(), self._figures(), figures, realtime.obtained)
 
     def _status(self) -> tuple[bytes, str]:
         """Level and sentence of the diagnostics."""
@@ -548,17 +552,13 @@ class Controller(Managed):
             return DiagnosticStatus.ERROR, f"{STANDS_BY}; {self._supervisor.reason}"
         return LEVELS[self._supervisor.mode], self._supervisor.reason
 
-    def _conditions(self) -> list[str]:
-        """Names of what is not in order."""
-        return list(self._supervisor.conditions)
-
-    def _figures(self) -> Iterator[dict[str, Any]]:
+    def _figures(self) -> dict[str, Any]:
         supervisor, memory = self._supervisor, self._supervisor.memory
         values: dict[str, Any] = {
             "controller": supervisor.name,
             "active": self.working,
             "mode": supervisor.mode.name.lower(),
-            "conditions": ", ".join(self._conditions()),
+            "conditions": ", ".join(supervisor.conditions),
             "samples": memory.samples,
             **memory.counts,
             "overruns": self._timing.overruns,
@@ -568,11 +568,7 @@ class Controller(Managed):
             values["saturation_share"] = f"{memory.counts['saturated'] / memory.samples:.4f}"
         if math.isfinite(self._last_command):
             values["command_age_s"] = f"{time.monotonic() - self._last_command:.4f}"
-        yield values
-        yield from self._timing.figures(self._period)
-        values = {}
         if supervisor.theta is not None:
             values["theta"] = ", ".join(f"{v:.6g}" for v in supervisor.theta)
         values |= {name: f"{v:.6g}" for name, v in supervisor.assumed.items()}
-        yield values
-        yield {**realtime.obtained(), "pid": os.getpid()}
+        return {**values, "pid": os.getpid()}

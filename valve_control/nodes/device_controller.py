@@ -209,11 +209,12 @@ class DeviceController(DeviceNode, Controller):
         levels = [level, *(LEVELS[condition.level] for condition in self._told)]
         return max(levels), "; ".join([text, *(condition.text for condition in self._told)])
 
-    def _conditions(self) -> list[str]:
-        return [*super()._conditions(), *(condition.name for condition in self._told)]
-
-    def _figures(self) -> Iterator[dict[str, Any]]:
-        yield from super()._figures()
-        yield {"driver": word(self.device_values, "driver")}
-        if (device := self._device) is not None:
-            yield {"lost": device.lost, "late": device.late, "reopened": device.reopened}
+    def _figures(self) -> dict[str, Any]:
+        values = {**super()._figures(), "driver": word(self.device_values, "driver")}
+        names = [*self._supervisor.conditions, *(condition.name for condition in self._told)]
+        values["conditions"] = ", ".join(names)
+        if self._device is not None:
+            values["lost"] = self._device.lost
+            values["late"] = self._device.late
+            values["reopened"] = self._device.reopened
+        return values

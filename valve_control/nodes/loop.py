@@ -16,6 +16,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,10 @@ class Worker(Node):
 
     def finish(self) -> None:
         """Publish the last messages before the node is destroyed."""
+
+    def later(self, pieces: Iterator[object]) -> None:
+        """Do ``pieces`` after those that wait."""
+        self.pieces = chain(self.pieces, pieces)
 
     def say(self) -> None:
         """Do all ``pieces``."""

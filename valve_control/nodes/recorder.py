@@ -323,7 +323,7 @@ class Recorder(Worker):
     def _fail(self, reason: str) -> NoReturn:
         self._failed = True
         reason = outputs.printable(reason)
-        self._diagnostics.tell(DiagnosticStatus.ERROR, reason, iter((self._figures(),)))
+        self._diagnostics.tell(DiagnosticStatus.ERROR, reason, self._figures())
         raise Failure(reason)
 
     # The graph
@@ -421,7 +421,7 @@ class Recorder(Worker):
         level, text = DiagnosticStatus.OK, "recording"
         if self._warnings:
             level, text = DiagnosticStatus.WARN, "; ".join(sorted(self._warnings))
-        self._diagnostics.tell(level, text, iter((self._figures(),)))
+        self._diagnostics.tell(level, text, self._figures())
 
     def _figures(self) -> dict[str, Any]:
         return {

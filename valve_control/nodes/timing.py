@@ -7,7 +7,7 @@ virtual cores, and 0.1 ms when it is called again at once; a list takes 1.5 ms.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 WINDOW = 1000  # samples
@@ -34,12 +34,10 @@ class Timing:
         self._durations.append(ended - began)
         self.overruns += ended - began > period
 
-    def figures(self, period: float) -> Iterator[dict[str, str]]:
+    def figures(self, period: float) -> dict[str, str]:
         """Mean period, and spreads of its deviation from ``period`` [s], of latencies and durations."""
-        if len(self.arrivals) > 1:
-            yield of_periods(self.arrivals, period)
-            yield spread("latency_ms", self._latencies)
-            yield spread("step_ms", self._durations)
+        spreads = spread("latency_ms", self._latencies) | spread("step_ms", self._durations)
+        return of_periods(self.arrivals, period) | spreads if len(self.arrivals) > 1 else {}
 
 
 def of_periods(arrivals: Sequence[float], period: float) -> dict[str, str]:

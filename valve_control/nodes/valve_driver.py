@@ -9,7 +9,7 @@ import math
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import rclpy
@@ -252,11 +252,19 @@ class ValveDriver(DeviceNode):
             level, text = LEVELS[conditions[0].level], "; ".join(c.text for c in conditions)
         elif not self._fed:
             text = "waiting for valve_voltage, the output is at 0 V"
-        self._diagnostics.tell(level, text, self._figures(conditions))
+        period = number(self.device_values, "sample_period")
+        self._diagnostics.tell(
+            level,
+            text,
+            self._figures(conditions),
+            lambda: of_periods(self._arrivals, period),
+            lambda: spread("answer_ms", self._answers),
+            realtime.obtained,
+        )
 
-    def _figures(self, conditions: tuple[Condition, ...]) -> Iterator[dict[str, Any]]:
+    def _figures(self, conditions: tuple[Condition, ...]) -> dict[str, Any]:
         device = self._device
-        yield {
+        return {
             "driver": word(self.device_values, "driver"),
             "conditions": ", ".join(condition.name for condition in conditions),
             "readings": 0 if device is None else device.readings,
@@ -266,9 +274,6 @@ class ValveDriver(DeviceNode):
             "position_V": f"{self._position:.4f}",
             "voltage_V": f"{self._voltage:.4f}",
         }
-        yield of_periods(self._arrivals, number(self.device_values, "sample_period"))
-        yield spread("answer_ms", self._answers)
-        yield realtime.obtained()
 
 
 def check(arguments: Sequence[str]) -> int:

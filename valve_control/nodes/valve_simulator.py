@@ -367,8 +367,7 @@ class ValveSimulator(Managed):
             level, text = DiagnosticStatus.ERROR, "no voltage: 0 V, the spring centres the spool"
         elif self._fault != ("none", "none"):
             level, text = DiagnosticStatus.WARN, "simulating a fault"
-        figures = (of() for of in (lambda: values, realtime.obtained))
-        self._diagnostics.tell(level, text, figures)
+        self._diagnostics.tell(level, text, values, realtime.obtained)
 
 
 def main() -> int:
