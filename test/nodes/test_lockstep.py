@@ -89,9 +89,12 @@ def test_a_simulator_waits_for_a_controller_and_asks_the_next_one_again(ros, tmp
     readings = []
     command = ros.create_publisher(Float64, "spool_command", SAMPLES)
 
+    def send():  # for which a controller in lockstep waits some seconds
+        command.publish(Float64(data=1.0))
+
     def hear(message):
         readings.append(message.data)
-        command.publish(Float64(data=1.0))  # for which a controller in lockstep waits some seconds
+        send()
 
     ros.create_subscription(Float64, "spool_position", hear, SAMPLES)
     settings = ["-p", "controller:=open_loop", "-p", "lockstep:=true"]
@@ -103,10 +106,11 @@ def test_a_simulator_waits_for_a_controller_and_asks_the_next_one_again(ros, tmp
         spin_until(ros, lambda: time.monotonic() > begun + 1.0, "a second")
         assert not readings
         first = stack.enter_context(process("controller", settings, tmp_path / "first.log"))
-        spin_until(ros, lambda: len(readings) > 100, "readings")
+        # A command that a controller missed before it had discovered its sender is waited for 20 s: sent again.
+        spin_until(ros, lambda: len(readings) > 100, "readings", again=send)
         first.send_signal(signal.SIGKILL)
         first.wait()
         count = len(readings)
         stack.enter_context(process("controller", settings, tmp_path / "second.log"))
-        spin_until(ros, lambda: len(readings) > count + 100, "readings for the second controller")
+        spin_until(ros, lambda: len(readings) > count + 100, "readings for the second controller", again=send)
         assert log.read_text().count("sent again") == 1
