@@ -205,8 +205,11 @@ def command_line() -> str:
 
 def api() -> dict[str, str]:
     """A page for each room of the package, and their index."""
-    index = "# API\n\nEach package has a page, generated from its docstrings.\n\n```{toctree}\n"
-    pages = {}
+    index = "# API\n\nEach package has a page, generated from its docstrings.\n\n```{toctree}\nfunctions\n"
+    pages = {
+        "api/functions": "# Functions of the tasks\n\nThe options of the [command line]"
+        "(../command_line.md).\n\n```{eval-rst}\n.. automodule:: valve_control.api\n```\n"
+    }
     for room in sorted(path.parent for path in PACKAGE.rglob("*/__init__.py") if path.parent.name != "cli"):
         index += f"{room.name}\n"
         pages[f"api/{room.name}"] = _room(".".join(room.relative_to(PACKAGE).parts))

@@ -2,4 +2,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Controls a proportional directional control valve locally, after Bu and Yao."""
 
+from typing import TYPE_CHECKING, Any
+
 __version__ = "1.0.0"
+__all__ = [
+    "ParameterError",
+    "analyze",
+    "compare",
+    "identify",
+    "load",
+    "margins",
+    "replay",
+    "simulate",
+    "tune",
+]
+
+if TYPE_CHECKING:
+    from valve_control.api import analyze, compare, identify, load, margins, replay, simulate, tune
+    from valve_control.parameter import ParameterError
+
+
+def __getattr__(name: str) -> Any:
+    """The tasks, which are imported when they are first asked for: nodes need none of them."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from valve_control import api
+
+    return getattr(api, name)

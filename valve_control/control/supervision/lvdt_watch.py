@@ -19,6 +19,7 @@ TACHOMETER_CUTOFF = 50.0  # Hz, of the velocity with which a law takes over
 REST = 10.0  # V/s; a spool that moves faster has not yet come to rest ...
 REST_LIMIT = 0.5  # s  ... but a noisy reading must not keep the valve off for ever
 DISTURBANCE = 5.0  # V  for standing readings, where readings shall not be compared with the voltage
+LARGEST = 0.7  # of u_max: a disturbance above it leaves no voltage that could show a dead reading
 PROBATION = 1.2  # times the largest disturbance: the voltage while readings are doubted
 DOUBTS = ("lvdt_jump", "lvdt_disagrees")  # after which readings are not believed because they are smooth
 
@@ -82,7 +83,9 @@ def design(values: Values, params: Any) -> Params:
             a1=a1,
             a0=a0,
             b0=b0,
-            disturbance=min(number(values, "lvdt.disturbance") or DISTURBANCE, 0.5 * number(values, "u_max")),
+            disturbance=min(
+                number(values, "lvdt.disturbance") or DISTURBANCE, LARGEST * number(values, "u_max")
+            ),
         ),
         pace=rate.Params(period, number(values, "lvdt.period_limit")),
         comparison=comparison,

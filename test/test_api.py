@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""The tasks as functions: same numbers as the command line, arrays, and errors of one sentence."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import valve_control as vc
+from valve_control.cli import main
+
+ROOT = Path(__file__).parents[1]
+VALVE = ROOT / "docs/examples/my_valve.yaml"
+MOTION = np.sin(2.0 * np.pi * 2.0 * np.arange(0.0, 1.5, 0.001))
+NAMES = {"spool_command": "command", "spool_position": "measurement", "valve_voltage": "voltage"}
+
+
+def test_a_function_gives_what_the_command_writes(tmp_path, capsys):
+    np.save(tmp_path / "motion.npy", MOTION)
+    line = ["simulate", f"--params-file={VALVE}", "--controller=pid", f"--command={tmp_path / 'motion.npy'}"]
+    assert main([*line, "--set=lvdt.noise=0.002", f"--json={tmp_path / 'a.json'}"]) == 0
+    run = vc.simulate(vc.load(VALVE), controller="pid", command=MOTION, set={"lvdt.noise": 0.002})
+    assert dict(run) == json.loads((tmp_path / "a.json").read_text())
+    assert capsys.readouterr().out.startswith(run.text) and run.passed
+    error = run.arrays["position"] - run.arrays["command"]
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(run["true_error"]["e_rms"], rel=1e-9)
+    assert "<pre>" in run._repr_html_() and run.plot().rstrip().endswith("</svg>")
+
+
+def test_parameters_go_from_one_task_to_the_next(tmp_path):
+    sheet = vc.identify(second_order="14,1,0.9")
+    assert sheet.parameters is not None
+    sheet.parameters.save(tmp_path / "sheet.yaml")
+    assert vc.load(tmp_path / "sheet.yaml") == sheet.parameters
+    assert dict(vc.margins(sheet.parameters, controller="dcarc")) == dict(
+        vc.margins(tmp_path / "sheet.yaml", controller="dcarc")
+    )
+
+
+def test_a_log_of_arrays_is_analysed(tmp_path):
+    run = vc.simulate(VALVE, controller="arc", command=MOTION)
+    columns = ("time", *NAMES.values())
+    table = np.column_stack([run.arrays[name] for name in columns])
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(columns), comments="")
+    report = vc.analyze(tmp_path / "log.csv", map=NAMES, expect=["e_rms<1e-9"])
+    assert not report.passed
+    assert np.allclose(report.arrays["measurement_V"], run.arrays["measurement"])
+    assert report.page is not None and "</html>" in report.page
+    assert "iframe" in report._repr_html_()
+
+
+@pytest.mark.parametrize(
+    "task, sentence",
+    [
+        (lambda: vc.simulate(controler="pid"), "--controler"),
+        (lambda: vc.simulate(controller="pdi"), "invalid choice: 'pdi'"),
+        (lambda: vc.simulate(set={"arc.k9": 1.0}), "no parameter 'arc.k9'"),
+        (lambda: vc.simulate(npz="traces.npz"), "npz is of the command line"),
+        (lambda: vc.simulate(command=np.array([np.nan, 1.0])), "has nan in entry 1"),
+        (lambda: vc.margins(VALVE).plot(), "margins draws no figure"),
+        (lambda: vc.load("missing.yaml"), "missing.yaml"),
+    ],
+)
+def test_bad_input_is_one_sentence(task, sentence, capsys):
+    with pytest.raises(vc.ParameterError, match=sentence) as error:
+        task()
+    assert "\n" not in str(error.value) and not capsys.readouterr().err
+
+
+@pytest.mark.campaign
+def test_the_notebook_runs(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    cells = json.loads((ROOT / "docs/tutorials/notebook.ipynb").read_text(encoding="utf-8"))["cells"]
+    names: dict[str, object] = {}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+    assert names["tuned"].passed and "e_rms" in capsys.readouterr().out

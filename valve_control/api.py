@@ -1,0 +1,235 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""The tasks as Python functions, for notebooks and scripts, with the names and defaults of the command line.
+
+Each option of ``valve-control TASK --help`` is a keyword, with underscores for dashes: a switch is True, an
+option that may stand several times takes a list, one of NAME=VALUE a dict. A motion may be an array [V].
+Progress, notes and warnings go to standard error. Bad input raises ParameterError, a bag that cannot be read
+BagError, with one sentence.
+"""
+
+import argparse
+import contextlib
+import csv
+import html
+import io
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from valve_control import outputs
+from valve_control.arrays import Floats
+from valve_control.cli.command import parser
+from valve_control.control.parameters import files
+from valve_control.control.parameters.ros_file import as_text
+from valve_control.parameter import ParameterError, Values
+
+ENDINGS = {"json": "json", "npz": "npz", "csv": "csv", "html": "html", "output": "yaml", "figure": "svg"}
+DRAWN = ("simulate", "compare", "identify")
+WORDS = {"start": "--from", "end": "--to"}  # options that are words of Python
+
+
+class Parameters(NamedTuple):
+    """A ROS 2 parameter file: of a valve, of gains, or of both."""
+
+    text: str
+    values: dict[str, Values]  # checked, by node: values["controller"]["arc.k1"]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the file to ``path``, whole or not at all. Raises OSError."""
+        outputs.write(os.fspath(path), self.text)
+
+
+Source = Parameters | str | os.PathLike[str]
+
+
+class Figure(str):
+    """A drawing as the text of an SVG file; a notebook shows it."""
+
+    def _repr_svg_(self) -> str:
+        return str(self)
+
+
+@dataclass(frozen=True, repr=False)
+class Result(Mapping[str, Any]):
+    """Result of a task; as a mapping it has the numbers of --json."""
+
+    text: str  # that the command prints
+    passed: bool  # whether gains are accepted, and expectations met
+    numbers: Mapping[str, Any]
+    arrays: Mapping[str, Floats]  # signals by name, [samples]; of several valves VALVE/NAME
+    parameters: Parameters | None  # of the fitted valve, or the accepted gains
+    page: str | None  # report of a bag in HTML
+    call: "Call"
+
+    def __getitem__(self, name: str) -> Any:
+        return self.numbers[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.numbers)
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def __repr__(self) -> str:
+        return self.text
+
+    def _repr_html_(self) -> str:
+        text = f"<pre>{html.escape(self.text)}</pre>"
+        if self.page is None:
+            return text
+        return f'{text}<iframe srcdoc="{html.escape(self.page)}" width="100%" height="640"></iframe>'
+
+    def to_dataframe(self) -> Any:
+        """The arrays as columns of a pandas.DataFrame. Raises ModuleNotFoundError without pandas."""
+        import pandas
+
+        return pandas.DataFrame(self.arrays)
+
+    def plot(self) -> Figure:
+        """The figure that the command draws with --figure; the task runs again. Raises ParameterError."""
+        if self.call.task not in DRAWN:
+            raise ParameterError(f"{self.call.task} draws no figure; {', '.join(DRAWN)} do")
+        return Figure(self.call.run(["figure"])[2]["figure"][""])
+
+
+class Call(NamedTuple):
+    """A task with its arguments: positional words, parameter files, and options by name."""
+
+    task: str
+    words: Sequence[str | os.PathLike[str]]
+    parameters: Sequence[Source]
+    options: Mapping[str, Any]
+
+    def run(self, wanted: Sequence[str]) -> tuple[int, str, dict[str, dict[str, Any]]]:
+        """Exit status, text and, of the ``wanted`` outputs, the contents by the end of the file's name."""
+        for name in ENDINGS.keys() & self.options.keys():
+            raise ParameterError(f"{name} is of the command line; the result of {self.task} has all outputs")
+        with tempfile.TemporaryDirectory() as folder:
+            files = {name: f"{folder}/{name}.{ENDINGS[name]}" for name in wanted}
+            line = [self.task, *map(str, self.words), *self._options(Path(folder))]
+            arguments = _parsed([*line, *(f"--{name}={file}" for name, file in files.items())], line)
+            with contextlib.redirect_stdout(io.StringIO()) as text:
+                status = int(arguments.run(arguments) or 0)
+            lines = [row for row in text.getvalue().splitlines() if not row.startswith(f"wrote {folder}")]
+            contents = {name: dict(_contents(Path(file))) for name, file in files.items()}
+        return status, "\n".join(lines), contents
+
+    def result(self, *wanted: str) -> Result:
+        """Run the task; the result has what the ``wanted`` outputs hold."""
+        status, text, contents = self.run(["json", *wanted])
+        arrays = contents.get("npz", {}).get("") or {
+            f"{valve.lstrip('_')}/{name}" if valve else name: column
+            for valve, table in contents.get("csv", {}).items()
+            for name, column in table.items()
+        }
+        parameters = contents.get("output", {}).get("")
+        page = contents.get("html", {}).get("")
+        return Result(text, status == 0, contents["json"][""], arrays, parameters, page, self)
+
+    def _options(self, folder: Path) -> list[str]:
+        options = {**self.options, "params_file": [*self.parameters, *self.options.get("params_file", [])]}
+        words: list[str] = []
+        for name, value in options.items():
+            option = WORDS.get(name, "--" + name.replace("_", "-"))
+            if isinstance(value, Mapping):
+                value = [f"{k}={v if isinstance(v, str) else as_text(v)}" for k, v in value.items()]
+            if isinstance(value, tuple):
+                words += [option, *map(str, value)]
+            elif value is True:
+                words.append(option)
+            elif value is not None and value is not False:
+                several = value if isinstance(value, list) else [value]
+                words += [f"{option}={_word(one, folder)}" for one in several]
+        return words
+
+
+def _word(value: Any, folder: Path) -> str:
+    """``value`` of an option; an array or parameters as the name of a file in ``folder``."""
+    path = folder / f"{len(list(folder.iterdir()))}"
+    if isinstance(value, np.ndarray):
+        np.save(path.with_suffix(".npy"), value, allow_pickle=False)
+        return str(path.with_suffix(".npy"))
+    if isinstance(value, Parameters):
+        value.save(path.with_suffix(".yaml"))
+        return str(path.with_suffix(".yaml"))
+    return str(value)
+
+
+def _parsed(words: Sequence[str], line: Sequence[str]) -> argparse.Namespace:
+    """The command's arguments. Raises ParameterError with the sentence of the command."""
+    with contextlib.redirect_stderr(io.StringIO()) as text:
+        try:
+            return parser().parse_args(words, argparse.Namespace(line=list(line)))
+        except SystemExit as error:
+            raise ParameterError(text.getvalue().strip()) from error
+
+
+def _contents(file: Path) -> Iterator[tuple[str, Any]]:
+    """What ``file`` holds, and the files of single valves beside it, by the end of their names."""
+    for path in sorted(file.parent.glob(f"{file.stem}*{file.suffix}")):
+        end, kind = path.stem.removeprefix(file.stem), path.suffix
+        if kind == ".npz":
+            with np.load(path, allow_pickle=False) as arrays:
+                yield end, dict(arrays)
+        elif kind == ".yaml":
+            yield end, load(path)
+        else:
+            text = path.read_text(encoding="utf-8")
+            yield end, json.loads(text) if kind == ".json" else _columns(text) if kind == ".csv" else text
+
+
+def _columns(text: str) -> dict[str, Floats]:
+    names = next(csv.reader([text.partition("\n")[0]]))
+    table = np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1, ndmin=2)
+    return dict(zip(names, table.T, strict=True))
+
+
+def load(path: str | os.PathLike[str]) -> Parameters:
+    """The ROS 2 parameter file ``path``, checked. Raises ParameterError."""
+    values = files.load(os.fspath(path))
+    return Parameters(Path(path).read_text(encoding="utf-8"), values)
+
+
+def simulate(*parameters: Source, **options: Any) -> Result:
+    """Run one controller on one simulated valve; ``command`` may be an array [V], one value a sample.
+
+    Arrays: time [s], command, position, measurement, voltage [V], and the terms of the law.
+    """
+    return Call("simulate", (), parameters, options).result("npz")
+
+
+def compare(*parameters: Source, bags: Sequence[str | os.PathLike[str]] = (), **options: Any) -> Result:
+    """Simulate all controllers on one valve, or compare the runs in ``bags``."""
+    return Call("compare", bags, parameters, options).result(*(["html"] if bags else []))
+
+
+def identify(*parameters: Source, bag: str | os.PathLike[str] | None = None, **options: Any) -> Result:
+    """Fit transfer functions to the recorded test ``bag``, or to a simulated one; gives parameters."""
+    return Call("identify", () if bag is None else (bag,), parameters, options).result("output")
+
+
+def tune(*parameters: Source, **options: Any) -> Result:
+    """Search and verify the gains of one law for a valve and its spread; gives accepted parameters."""
+    return Call("tune", (), parameters, options).result("output")
+
+
+def margins(*parameters: Source, **options: Any) -> Result:
+    """Gain, phase and delay margin of given gains on a valve or, with ``box=True``, on a box of valves."""
+    return Call("margins", (), parameters, options).result()
+
+
+def analyze(bag: str | os.PathLike[str], **options: Any) -> Result:
+    """Sample rates, indices, estimates and spectra of a ``bag`` or log; gives arrays and a page."""
+    return Call("analyze", (bag,), (), options).result("csv", "html")
+
+
+def replay(bag: str | os.PathLike[str], *parameters: Source, **options: Any) -> Result:
+    """Replay a ``bag`` in shadow or as what-if; gives arrays and a page."""
+    return Call("replay", (bag,), parameters, options).result("csv", "html")
