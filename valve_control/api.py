@@ -52,6 +52,9 @@ Source = Parameters | str | os.PathLike[str]
 class Figure(str):
     """A drawing as the text of an SVG file; a notebook shows it."""
 
+    def __repr__(self) -> str:
+        return f"SVG of {len(self) / 1000.0:.0f} kB"
+
     def _repr_svg_(self) -> str:
         return str(self)
 
