@@ -28,7 +28,7 @@ from valve_control.control.linear import margins
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.simulation import robustness
-from valve_control.design.tuning import box, limit_cycles, pauses, search, trial, tuner
+from valve_control.design.tuning import box, checks, limits, search, trial, tuner
 from valve_control.design.tuning.trial import GainSet
 from valve_control.parameter import ParameterError, Value, defaults, updated
 
@@ -127,7 +127,7 @@ def long_search(
             costs[i] = float(np.sum((point - inside) ** 2))
             try:
                 params = law.build(trial.values_with(problem, gains))
-                missed = trial.violation(problem.limits, margins.margins(law, params, corners), MORE)
+                missed = limits.violation(problem.limits, margins.margins(law, params, corners), MORE)
             except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
                 costs[i] += 1e3
                 continue
@@ -142,8 +142,8 @@ def long_search(
             costs[i] += math.log(error) + 6.0 * beyond if math.isfinite(error) else 100.0
             if beyond == 0.0 and error < best[0]:
                 share = 1.0
-                if math.isinf(pauses.unborne(law, problem, [gains])[0]):
-                    (share,) = limit_cycles.restless_shares(law, problem, [gains])
+                if math.isinf(checks.unborne(law, problem, [gains])[0]):
+                    (share,) = checks.restless_shares(law, problem, [gains])
                 if share > 0.0:
                     costs[i] = 10.0 + share
                 else:

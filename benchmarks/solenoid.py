@@ -36,12 +36,10 @@ from valve_control.control.plant import registry
 from valve_control.control.plant.models import scale_of
 from valve_control.control.simulation import batch
 from valve_control.control.simulation.robustness import Quantity
-from valve_control.design import evolution
 from valve_control.design.commissioning import model, sequence
-from valve_control.design.commissioning.bench import Fault, Record, SafetyLimits
-from valve_control.design.commissioning.plan import Plan, check
+from valve_control.design.commissioning.bench import Fault, Plan, Record, SafetyLimits, check
 from valve_control.design.commissioning.plant import EXPLAINED
-from valve_control.design.tuning import box, limit_cycles, search, trial
+from valve_control.design.tuning import box, checks, limits, search, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
 from valve_control.parameter import ParameterError, Value, Values, defaults, number, updated, word
 
@@ -163,7 +161,7 @@ def searched(values: Values, form: str, previewed: bool, options: Options) -> Ga
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         while tried < options.sets:
-            strategy = evolution.strategy(best, step, seed + tried + 1, POPULATION)
+            strategy = search.strategy(best, step, seed + tried + 1, POPULATION)
             while tried < options.sets and not strategy.stop():
                 asked = strategy.ask()
                 costs = _costs(law, problem, free, asked, prepared)
@@ -191,7 +189,7 @@ def _costs(
         outside = float(np.sum((shares - within) ** 2))
         if prepared is not None:
             params = law.build(trial.values_with(problem, one))
-            missing = trial.violation(problem.limits, margins.margins(law, params, prepared))
+            missing = limits.violation(problem.limits, margins.margins(law, params, prepared))
             outside += MISSING * missing + (MISSED if missing > 0.0 else 0.0)
         found.append((cost if math.isfinite(cost) else search.NOT_RUN) + outside)
     return found
@@ -253,7 +251,7 @@ def robustness(values: Values, found: Mapping[str, Any]) -> dict[str, dict[str, 
         for where, prepared in valves.items():
             there = margins.margins(law, params, prepared)
             kept[mode][f"stable{where}"] = bool(np.max(there.radius) < 1.0 + margins.EDGE)
-            kept[mode][f"margins{where}"] = trial.violation(trial.USUAL, there) == 0.0
+            kept[mode][f"margins{where}"] = limits.violation(trial.USUAL, there) == 0.0
     return kept
 
 
@@ -309,7 +307,7 @@ def commissioned(
     began = time.process_time()
     try:
         with sequence.reversible(bench, before, sequence.Reversal()):
-            result = sequence.run(bench, plan, before, steps, tests)
+            result = sequence.Commissioning(bench, plan, before, steps).run(tests)
     except (ParameterError, Fault) as error:
         cpu = time.process_time() - began
         return {"accepted": False, "reason": str(error), "step": steps.step, "cpu_s": cpu}, tests
@@ -343,7 +341,7 @@ def cycles(plant: Any, values: Values) -> bool:
     law = LAWS[word(values, "controller")]
     motions = [TuningMotion(name, wanted[:-2]) for name, wanted in comparison.motions().items()]
     problem = Problem(values, motions, [plant], [plant], trial.USUAL, False, NOISE_SEED)
-    return len(limit_cycles.after_all(law, problem, GainSet({}, 0.0), [plant], 1, limit_cycles.LASTING)) > 0
+    return len(checks.after_all(law, problem, GainSet({}, 0.0), [plant], 1, checks.LASTING)) > 0
 
 
 def gone_through(folder: Path, seed: int, options: Options) -> dict[str, Any]:

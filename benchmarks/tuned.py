@@ -35,7 +35,7 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
 from valve_control.control.plant.valve import FREE
 from valve_control.control.simulation import batch
-from valve_control.design.tuning import limit_cycles, trial, tuner
+from valve_control.design.tuning import checks, trial, tuner
 from valve_control.parameter import Value, defaults, updated, word
 
 SEEDS = {"tune": 100, "verify": 555, "measure": 999, "check": 20261122}
@@ -137,12 +137,12 @@ def main() -> int:
         values = tuner.parameters_of(law.name, problem.values, chosen)
         unused = valves(arguments.valves, SEEDS["measure"], wide)
         errors = summary(measured(Setup(name, values, gains.ahead), batch.records(unused), NOISE_SEED))
-        swinging = limit_cycles.after_all(law, problem, gains, unused, arguments.threads)
+        swinging = checks.after_all(law, problem, gains, unused, arguments.threads)
         checked = valves(arguments.check, SEEDS["check"], wide)
-        moving = limit_cycles.after_all(law, problem, gains, checked, arguments.threads)
+        moving = checks.after_all(law, problem, gains, checked, arguments.threads)
         left = [checked[i] for i in moving]
-        lasting = limit_cycles.LASTING
-        cycles = moving[limit_cycles.after_all(law, problem, gains, left, arguments.threads, lasting)]
+        lasting = checks.LASTING
+        cycles = moving[checks.after_all(law, problem, gains, left, arguments.threads, lasting)]
         stem = f"{arguments.box}_{arguments.limit:g}_{name}"
         about = [
             f"python -m benchmarks.tuned --box {arguments.box} --limit {arguments.limit:g} "

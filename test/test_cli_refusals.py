@@ -79,7 +79,6 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
         (["study", "--threads", "10000"], ["10000", "cores"]),
         (["tune", "--controller", "all,pid", "--output", "x.yaml"], ["all,pid", "all stands alone"]),
         (["tune", "--controller", "arc, all", "--output", "x.yaml"], ["all stands alone"]),
-        (["tune", "--controller", "pid"], ["keeps no gains", "--output"]),
         (["tune", "--controller", "pid", "--from", "1", "--json", "-"], ["--from", "--bag"]),
         (["tune", "--controller", "pid", "--of", "a", "--json", "-"], ["--of", "--bag"]),
         (

@@ -24,7 +24,7 @@ from research.calibration.objective import Table
 from research.calibration.space import Dimension, Settings, changed, values_at
 from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices
-from valve_control.design import evolution
+from valve_control.design.tuning.search import strategy as evolution_strategy
 from valve_control.parameter import ParameterError
 
 Told = Callable[[int, float], None]  # evaluations so far, best cost
@@ -112,7 +112,7 @@ def search(
         restart = 0
         while count < evaluations:
             larger = min(MOST, population * 2**restart)
-            strategy = evolution.strategy(best, STEP, seed + restart + 1, larger)
+            strategy = evolution_strategy(best, STEP, seed + restart + 1, larger)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 while count < evaluations and not strategy.stop():

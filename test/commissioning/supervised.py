@@ -3,9 +3,8 @@
 """The bench without ROS, with faults on demand, and steps that record."""
 
 from benchmarks import supervised
-from valve_control.design.commissioning import courses, plant, small_signal, statics
-from valve_control.design.commissioning.bench import Fault
-from valve_control.design.commissioning.plan import limiting
+from valve_control.design.commissioning import courses, evaluation, plant
+from valve_control.design.commissioning.bench import Fault, limiting
 
 
 class Steps:
@@ -55,10 +54,10 @@ def driven(bench, limits):
         pass
 
     bench.apply(limiting(bench.values(), limits))
-    rest = statics.at_rest(bench.drive(courses.rest(2.0), limits, silent))
+    rest = evaluation.at_rest(bench.drive(courses.rest(2.0), limits, silent))
     slow = bench.drive(courses.triangle(limits, 1.6, 4), limits, silent)
-    static = statics.slow(slow, rest)
-    planned = small_signal.plan(limits, static, 0.001)
+    static = evaluation.slow(slow, rest)
+    planned = evaluation.plan(limits, static, 0.001)
     course = courses.stepped_sine(limits, planned.steps, planned.amplitude, planned.offset)
     return rest, slow, static, planned, bench.drive(course, limits, silent)
 
@@ -66,5 +65,5 @@ def driven(bench, limits):
 def fitted(bench, limits, tell=lambda: None, threads=1):
     """What commissioning fits to the readings of ``bench``."""
     rest, slow, static, planned, sine = driven(bench, limits)
-    _, fits, friction = small_signal.linear(sine, planned, static, rest)
+    _, fits, friction = evaluation.linear(sine, planned, static, rest)
     return plant.fitted([slow, sine], fits, friction, static.offset, rest, tell, threads)

@@ -12,9 +12,8 @@ from valve_control.control.analysis.indices import Indices
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.commissioning import gains, plant, sequence
-from valve_control.design.commissioning.bench import Record, SafetyLimits, Swings, joined
-from valve_control.design.commissioning.plan import Plan, limiting
-from valve_control.design.commissioning.statics import Friction, Rest
+from valve_control.design.commissioning.bench import Plan, Record, SafetyLimits, Swings, joined, limiting
+from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.tuning.trial import TuningMotion
 from valve_control.parameter import defaults, updated
 
@@ -103,7 +102,7 @@ def test_a_run_of_verification_has_the_lead_that_stays():
     assert valve.controller["reshaping.lead"] == 0.0
     still = [TuningMotion("none", np.zeros(10))]
     made = gains.TunedGains(SimpleNamespace(law="compensator"), still, {}, {"controller": "compensator"})
-    run = sequence._Commissioning(valve, PLAN, before, Steps())
+    run = sequence.Commissioning(valve, PLAN, before, Steps())
     assert run._verified(made, False)[1] == ["the controller says: voltage oscillates"]
     assert valve.controller["reshaping.lead"] == 0.004
     assert valve.controller["command_limit"] == LIMITS.travel and valve.controller["u_max"] == LIMITS.voltage
@@ -137,10 +136,9 @@ def test_a_loud_run_is_tuned_again_with_a_lower_limit(monkeypatch, loud, errors,
         good = SimpleNamespace(verified=SimpleNamespace(reasons=[], seen=seen))
         return gains.TunedGains(SimpleNamespace(chatter=None, chosen=good, turn=len(asked)), [], {}, {})
 
-    monkeypatch.setattr(gains, "task", lambda *about: None)
     monkeypatch.setattr(gains, "tuned", tuned)
     monkeypatch.setattr(gains, "loudness", lambda *about: next(simulated))
-    run = sequence._Commissioning(SupervisedValve(), PLAN, defaults(CONTROLLER), Steps())
+    run = sequence.Commissioning(SupervisedValve(), PLAN, defaults(CONTROLLER), Steps())
     made = run._searched("dcarc", TESTS, None, 1.0)
     assert asked == pytest.approx(limits) and made.tuned.turn == turn
     told = f"from {loud[0]:.3g} to {loud[turn - 1]:.3g}"

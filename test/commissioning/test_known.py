@@ -12,9 +12,9 @@ from valve_control.control.plant import valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.plant.valve import FREE
+from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.commissioning.model import Known, controller_values
 from valve_control.design.commissioning.plant import Plant
-from valve_control.design.commissioning.statics import Friction, Rest
 from valve_control.parameter import defaults, updated
 
 REST = Rest(0.0, 0.0135, 0.0)

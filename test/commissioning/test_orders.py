@@ -11,7 +11,7 @@ from supervised import SupervisedValve, fitted
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.commissioning import plant
 from valve_control.design.commissioning.bench import SafetyLimits
-from valve_control.design.commissioning.statics import Friction
+from valve_control.design.commissioning.evaluation import Friction
 from valve_control.design.identification import rational
 
 LIMITS = SafetyLimits(4.0, 2.0)

@@ -12,8 +12,16 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve as plant
 from valve_control.design.commissioning import sequence
-from valve_control.design.commissioning.bench import Diagnosis, Fault, Pause, SafetyLimits, Swings, Watch
-from valve_control.design.commissioning.plan import Plan, check
+from valve_control.design.commissioning.bench import (
+    Diagnosis,
+    Fault,
+    Pause,
+    Plan,
+    SafetyLimits,
+    Swings,
+    Watch,
+    check,
+)
 from valve_control.parameter import ParameterError, defaults, updated
 
 LIMITS = SafetyLimits(3.0, 1.5)
@@ -29,7 +37,7 @@ def test_a_fault_at_any_sample(at, interrupt):
     valve.fault = KeyboardInterrupt if interrupt else Fault
     before, reversal = valve.values(), sequence.Reversal()
     with pytest.raises(valve.fault), sequence.reversible(valve, before, reversal):
-        sequence.run(valve, PLAN, before, Steps())
+        sequence.Commissioning(valve, PLAN, before, Steps()).run()
     assert len(valve.readings) == at
     assert valve.active and valve.values() == before
     assert reversal.restored and len(reversal.report) == 3
@@ -43,7 +51,7 @@ def test_a_step_that_is_refused(answers):
     valve = SupervisedValve({"lvdt.noise": 0.004}, BEFORE)
     before, steps = valve.values(), Steps([True] * answers)
     with pytest.raises(sequence.Refused), sequence.reversible(valve, before, sequence.Reversal()):
-        sequence.run(valve, PLAN, before, steps)
+        sequence.Commissioning(valve, PLAN, before, steps).run()
     assert valve.values() == before and valve.active
 
 
@@ -51,7 +59,7 @@ def test_a_controller_that_was_inactive_stays_so():
     valve = SupervisedValve({"lvdt.noise": 0.004}, BEFORE, fault_at=900)
     valve.off()
     with pytest.raises(Fault), sequence.reversible(valve, valve.values(), sequence.Reversal()):
-        sequence.run(valve, PLAN, valve.values(), Steps())
+        sequence.Commissioning(valve, PLAN, valve.values(), Steps()).run()
     assert not valve.active
 
 
@@ -61,7 +69,7 @@ def test_from_first_to_last_step():
     valve = SupervisedValve({"friction.coulomb": 0.6, "lvdt.noise": 0.004}, BEFORE)
     before, steps = valve.values(), Steps()
     with sequence.reversible(valve, before, sequence.Reversal()):
-        found = sequence.run(valve, PLAN._replace(law="dcarc"), before, steps)
+        found = sequence.Commissioning(valve, PLAN._replace(law="dcarc"), before, steps).run()
     for name in ("slow triangle", "stepped sine", "model", "tuning"):
         shares = np.array([done / total for step, done, total in steps.reports if step == name])
         assert shares[0] <= 0.01 and shares[-1] == 1.0 and np.all(np.diff(shares) >= 0.0), name
@@ -100,7 +108,7 @@ def commissioned_later(delay):
     before, steps = valve.values(), BecomesLater(valve, delay)
     wanted = PLAN._replace(law="dcarc", chatter=0.4, budget=60, valves=4)
     with sequence.reversible(valve, before, sequence.Reversal()):
-        result = sequence.run(valve, wanted, before, steps)
+        result = sequence.Commissioning(valve, wanted, before, steps).run()
     return valve, before, steps, result
 
 

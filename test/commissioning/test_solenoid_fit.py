@@ -19,13 +19,12 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import solenoid as equations
 from valve_control.control.plant.models import TransferFunction
-from valve_control.design.commissioning import gains, magnet, model, plant, sequence, small_signal
-from valve_control.design.commissioning.bench import Fault, SafetyLimits
+from valve_control.design.commissioning import evaluation, gains, magnet, model, plant, sequence
+from valve_control.design.commissioning.bench import Fault, Plan, SafetyLimits
+from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.commissioning.magnet import Magnet
-from valve_control.design.commissioning.plan import Plan
-from valve_control.design.commissioning.statics import Friction, Rest
 from valve_control.design.identification import first_gains
-from valve_control.design.tuning import designs, trial
+from valve_control.design.tuning import designs, limits, trial
 from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001
@@ -113,7 +112,7 @@ def test_the_pid_of_internal_model_control_keeps_the_margins_on_a_box_of_valves(
     left = np.repeat([shape[-1] for shape in designs.SHAPES], len(designs.FED))
     for one, wanted in zip(found, np.tile(left, len(designs.CUTOFFS)), strict=True):
         assert float(np.min(one.gain_db)) == pytest.approx(20.0 * math.log10(wanted), abs=1e-3)
-    assert min(trial.violation(trial.USUAL, one) for one in found) == 0.0
+    assert min(limits.violation(trial.USUAL, one) for one in found) == 0.0
 
 
 @given(st.floats(20.0, 300.0), st.floats(0.4, 2.0), st.floats(5e-4, 0.006), st.floats(0.3, 2.0))
@@ -190,7 +189,7 @@ def test_parameters_from_before_that_misbehave_are_no_rival(monkeypatch):
     valve = Misbehaving({"friction.coulomb": 0.6, "lvdt.noise": 0.004})
     before = valve.values()
     plan = Plan(LIMITS, "dcarc", 0.3, 40, 3, 8, 1, 2, alone=True)
-    found = sequence.run(valve, plan, before, Steps())
+    found = sequence.Commissioning(valve, plan, before, Steps()).run()
     assert found.verification.ended == "a reading of 3 V is beyond the travel"
     assert found.verification.before is None
     assert any("they are no rival" in note for note in found.notes)
@@ -206,7 +205,7 @@ def test_commissioned_dcarc_beats_the_best_pid_on_the_valve(name):
     fastest = max(500.0, 2.0 * math.pi * coil.VALVES[name].frequency * 20.0)
     valve = SupervisedValve(values, {"lvdt.max_rate": fastest})
     plan = Plan(LIMITS, "dcarc", 0.25, 200, 6, 32, 1, 2, firm=False)
-    found = sequence.run(valve, plan, valve.values(), Steps())
+    found = sequence.Commissioning(valve, plan, valve.values(), Steps()).run()
     assert found.applied["controller"] == "dcarc"
     for previewed in (False, True):
         reached = solenoid.on_the_valve(valve.params, valve.values(), 0.0, previewed)
@@ -221,7 +220,7 @@ def test_a_spool_that_stands_off_the_centre_costs_no_model(name):
     bench.state = equations.standing(bench.params, 0.2, 0.0)
     rest, slow, static, planned, sine = driven(bench, LIMITS)
     assert rest.position > 0.15
-    seen, fits, friction = small_signal.linear(sine, planned, static, rest)
+    seen, fits, friction = evaluation.linear(sine, planned, static, rest)
     found = plant.fitted([slow, sine], fits, friction, static.offset, rest, threads=2)
     assert found.error < plant.EXPLAINED and found.magnet is not None
     assert found.friction.coulomb == pytest.approx(coil.VALVES[name].coulomb, rel=0.15)
@@ -242,7 +241,7 @@ def test_some_designs_keep_the_margins_on_a_box_of_valves(name):
     starts = designs.starts(LAWS["dcarc"], task.problem, box)
     assert len(starts) == len(dcarc.LOOPS) * len(designs.SHARES)
     missing = [
-        trial.violation(trial.USUAL, margins.margins(LAWS["dcarc"], LAWS["dcarc"].build(values), box))
+        limits.violation(trial.USUAL, margins.margins(LAWS["dcarc"], LAWS["dcarc"].build(values), box))
         for values in starts
     ]
     assert min(missing) == 0.0

@@ -10,9 +10,8 @@ from supervised import Steps, SupervisedValve
 
 from benchmarks import supervised as bench_without_ros
 from valve_control.design.commissioning import folder, gains, plant, sequence
-from valve_control.design.commissioning.bench import Diagnosis, Fault, SafetyLimits
+from valve_control.design.commissioning.bench import Diagnosis, Fault, Plan, SafetyLimits
 from valve_control.design.commissioning.folder import Folder
-from valve_control.design.commissioning.plan import Plan
 from valve_control.design.tuning.trial import TuningMotion
 from valve_control.parameter import ParameterError
 
@@ -43,7 +42,7 @@ class Pausing(SupervisedValve):
 def made(valve):
     """Records and fitted valve of the tests."""
     before, steps = valve.values(), Steps()
-    run = sequence._Commissioning(valve, PLAN, before, steps)
+    run = sequence.Commissioning(valve, PLAN, before, steps)
     valve.off()
     run._open_loop()
     return run._tested(), run, steps
@@ -81,7 +80,7 @@ def test_a_stretch_that_pauses_spoil_four_times_ends_it():
         pytest.raises(Fault, match="stood still .* 4 times in one stretch of the step"),
         sequence.reversible(valve, before, sequence.Reversal()),
     ):
-        sequence.run(valve, PLAN, before, Steps())
+        sequence.Commissioning(valve, PLAN, before, Steps()).run()
     assert valve.values() == before and valve.active
 
 
@@ -98,7 +97,7 @@ def test_no_sentence_steers_a_commissioning(monkeypatch):
             valve.fault_at = 12_000
             before = valve.values()
             with pytest.raises(Fault), sequence.reversible(valve, before, reversal):
-                sequence.run(valve, PLAN, before, steps)
+                sequence.Commissioning(valve, PLAN, before, steps).run()
         assert valve.paused == 2 and valve.values() == before
         ends.append((valve.voltages, valve.applied, steps.asked, steps.reports, reversal.restored))
     assert ends[0] == ends[1]
@@ -107,7 +106,7 @@ def test_no_sentence_steers_a_commissioning(monkeypatch):
 def test_a_pause_without_a_course_is_counted_and_nothing_else():
     """During a search, and while the new gains are set: the controller's process stood still there."""
     valve = Pausing()
-    run = sequence._Commissioning(valve, PLAN, valve.values(), Steps())
+    run = sequence.Commissioning(valve, PLAN, valve.values(), Steps())
     watched = valve.watch
 
     def watch(limits):
@@ -135,7 +134,7 @@ def test_a_motion_that_a_pause_spoils_is_repeated_behind_another_approach():
         valve = Pausing()
         valve.pauses = {1000 + pause}
         valve.apply({"u_max": LIMITS.voltage})
-        run = sequence._Commissioning(valve, PLAN, valve.values(), Steps())
+        run = sequence.Commissioning(valve, PLAN, valve.values(), Steps())
         run._at_rest(1.0)
         record = run._moved("verification", motion)
         assert record.begins == begins and valve.paused == 1
@@ -148,7 +147,7 @@ def test_a_verification_run_of_late_messages_is_repeated_and_ends_with_the_reaso
     """A machine that is late all the time is named, and no gains are blamed."""
     valve = Pausing()
     valve.apply({"u_max": LIMITS.voltage})
-    run = sequence._Commissioning(valve, PLAN, valve.values(), Steps())
+    run = sequence.Commissioning(valve, PLAN, valve.values(), Steps())
     run._at_rest(1.0)
     drive = valve.drive
 
@@ -173,7 +172,7 @@ class Ends(Steps):
 def test_a_failed_commissioning_goes_on_after_its_whole_tests(tmp_path):
     valve, steps = Pausing([9000]), Ends()
     with pytest.raises(Fault):
-        sequence.run(valve, PLAN, valve.values(), steps)
+        sequence.Commissioning(valve, PLAN, valve.values(), steps).run()
     assert set(steps.records) == {sequence.REST, sequence.SLOW, sequence.SINE}
     kept = Folder(tmp_path, "/controller", LIMITS)
     for name, record in steps.records.items():
@@ -186,7 +185,7 @@ def test_a_failed_commissioning_goes_on_after_its_whole_tests(tmp_path):
     again = Ends()
     samples = len(valve.readings)
     with pytest.raises(Fault):
-        sequence.run(valve, PLAN, valve.values(), again, records=records)
+        sequence.Commissioning(valve, PLAN, valve.values(), again, records=records).run()
     assert len(valve.readings) - samples < 1.2 * len(steps.records[sequence.SINE].reading)
     assert {name for name, *_ in again.reports} == {sequence.SINE}
     assert again.records[sequence.SLOW] is records[sequence.SLOW]

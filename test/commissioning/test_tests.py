@@ -13,7 +13,7 @@ from benchmarks import solenoid
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.simulation import offline
-from valve_control.design.commissioning import plant, small_signal, statics
+from valve_control.design.commissioning import evaluation, plant
 from valve_control.design.commissioning.bench import Record, SafetyLimits
 from valve_control.design.commissioning.magnet import Magnet
 from valve_control.design.identification.response import Response
@@ -52,7 +52,7 @@ def test_slow_triangle_tells_gain_offset_friction_and_dead_zone(tested):
     assert static.gain == pytest.approx(1.0, rel=0.005)
     assert static.offset == pytest.approx(-0.3, abs=0.005)
     lag = 280.0 / 40000.0 + 0.0015
-    friction = statics.friction(static, lag, rest)
+    friction = evaluation.friction_proper(static, lag, rest)
     assert friction.coulomb == pytest.approx(0.5, abs=0.01)
     # From one side to the other friction changes by twice its size before the spool moves.
     assert static.dead_zone == pytest.approx(1.0, abs=0.15)
@@ -63,7 +63,7 @@ def test_slow_triangle_tells_gain_offset_friction_and_dead_zone(tested):
 
 def test_simulated_under_the_same_voltages_the_fitted_valve_is_the_true_one(tested):
     _, rest, slow, static, planned, sine = tested
-    response, fits, friction = small_signal.linear(sine, planned, static, rest)
+    response, fits, friction = evaluation.linear(sine, planned, static, rest)
     biased = fits[0].model.denominator[2]
     # A higher order would count only if it were better by more than rounding.
     found = plant.fitted([slow, sine], fits, friction, static.offset, rest)
@@ -97,7 +97,7 @@ def test_friction_as_a_square_wave_is_taken_out_exactly():
                 high = middle
         seen.append(driven(middle) / amplitude)
     measured = Response(frequency, np.array(seen), np.full(12, 1e-6), np.ones(12), 0.001, "stepped sine", ())
-    found = small_signal._without(measured, np.full(12, amplitude), 1.1)
+    found = evaluation._without(measured, np.full(12, amplitude), 1.1)
     assert np.allclose(found.value, true, rtol=1e-9)
 
 
@@ -105,7 +105,7 @@ def record(voltage, reading):
     return Record(0.001, np.asarray(reading), np.asarray(voltage), np.asarray(voltage))
 
 
-REST = statics.Rest(0.0, 0.002, 0.0)
+REST = evaluation.Rest(0.0, 0.002, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ REST = statics.Rest(0.0, 0.002, 0.0)
 def test_a_valve_that_cannot_be_commissioned_is_told_in_one_sentence(reading, words):
     voltage = driven_triangle()
     with pytest.raises(ParameterError, match=words):
-        statics.slow(record(voltage, reading(voltage)), REST)
+        evaluation.slow(record(voltage, reading(voltage)), REST)
 
 
 def driven_triangle():
@@ -128,7 +128,7 @@ def driven_triangle():
 
 
 LINEAR = plant.Plant(
-    TransferFunction((5800.0,), (1.0, 110.0, 6400.0)), statics.Friction(0.8, 1.2), 0.1, 0.001, 1.0, 0.02
+    TransferFunction((5800.0,), (1.0, 110.0, 6400.0)), evaluation.Friction(0.8, 1.2), 0.1, 0.001, 1.0, 0.02
 )
 COILED = Magnet(
     speed=80.0, damping=0.75, coil=0.004, gain=0.9, sides=-0.03, hysteresis=0.1, overlap=0.0, coulomb=0.8,

@@ -13,7 +13,7 @@ from valve_control.control.plant.models import TransferFunction
 from valve_control.design.commissioning import plant
 from valve_control.design.commissioning import recorded as learning
 from valve_control.design.commissioning.bench import Record
-from valve_control.design.commissioning.statics import Friction, Rest
+from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.identification import dead_time, recorded
 from valve_control.design.identification.experiment import Experiment
 from valve_control.nodes.commissioning_client import _paired

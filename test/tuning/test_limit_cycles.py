@@ -18,7 +18,7 @@ from valve_control.control.plant.models import FOURTH_ORDER
 from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.plant.valve import FREE
 from valve_control.control.simulation import batch
-from valve_control.design.tuning import limit_cycles, trial
+from valve_control.design.tuning import checks, limits, trial
 from valve_control.design.tuning.trial import GainSet
 from valve_control.parameter import defaults, updated
 
@@ -82,15 +82,15 @@ def test_margins_at_0_v_do_not_see_what_adaptation_does_elsewhere():
     law = LAWS["oarc"]
     params = law.build(problem.values)
     found = margins.margins(law, params, margins.prepared(plants))
-    assert trial.violation(trial.USUAL, found) == 0.0 and found.gain_db[0] > 20.0
-    command = limit_cycles.steps(PERIOD).wanted
+    assert limits.violation(trial.USUAL, found) == 0.0 and found.gain_db[0] > 20.0
+    command = checks.steps(PERIOD).wanted
     traces = np.empty((1, len(command), 3))
     batch.simulate(batch.Batch("oarc", params, batch.records(plants), np.array([NUMBER]), command), 1, traces)
     swings = [0.5 * float(np.ptp(traces[0, end - 500 : end, 0])) for end in (1100, 2100)]
     assert swings[0] < 0.02 and swings[1] > 0.5
-    assert limit_cycles.after_all(law, problem, GainSet({}, 0.0), plants).tolist() == [0]
+    assert checks.after_all(law, problem, GainSet({}, 0.0), plants).tolist() == [0]
     calm = problem_of("oarc", plants)
-    assert limit_cycles.after_all(law, calm, GainSet({}, 0.0), plants).tolist() == []
+    assert checks.after_all(law, calm, GainSet({}, 0.0), plants).tolist() == []
 
 
 def test_what_rings_down_slowly_is_no_limit_cycle():
@@ -106,8 +106,8 @@ def test_what_rings_down_slowly_is_no_limit_cycle():
         kp = scipy.optimize.brentq(lambda kp, lost=lost: radius(kp) - (1.0 - lost), 3.0, 60.0)
         problem = problem_of("pid", [plant()], **loose, **{"pid.kp": kp})
         problem = problem._replace(limits=trial.TuningLimits(0.0, 0.0, 0.0, math.inf, math.inf, 1.0))
-        assert limit_cycles.restless_shares(law, problem, [GainSet({}, 0.0)]) == [shares]
-        found = limit_cycles.after_all(law, problem, GainSet({}, 0.0), [plant()], held=limit_cycles.LASTING)
+        assert checks.restless_shares(law, problem, [GainSet({}, 0.0)]) == [shares]
+        found = checks.after_all(law, problem, GainSet({}, 0.0), [plant()], held=checks.LASTING)
         assert found.tolist() == lasting
 
 
@@ -121,13 +121,13 @@ def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():
     problem = problem_of("pid", plants, [trial.TuningMotion("rest", np.zeros(1000))], **loud)
     law, gains = LAWS["pid"], GainSet({}, 0.0)
     loops = trial.Loops(law, problem, [gains], plants, 1)
-    command = limit_cycles.steps(PERIOD).wanted
+    command = checks.steps(PERIOD).wanted
     traces = np.empty((2, len(command), 3))
     loops.run(command, loops.commands(command), 1, traces=traces)
-    assert np.all(limit_cycles.restless(traces[:, -1000:], PERIOD, 1.0)[0])
-    assert limit_cycles.after_all(law, problem, gains, plants).tolist() == [1]
+    assert np.all(checks.restless(traces[:, -1000:], PERIOD, 1.0)[0])
+    assert checks.after_all(law, problem, gains, plants).tolist() == [1]
     swing = 0.5 * float(np.ptp(traces[0, -500:, 2]))
     for limit, counted in ((0.8 * swing, [0, 1]), (1.25 * swing, [1])):
         strict = problem._replace(values={**problem.values, "oscillation_limit": limit}, strict=True)
-        assert limit_cycles.after_all(law, strict, gains, plants).tolist() == counted
-        assert limit_cycles.after_all(law, strict._replace(strict=False), gains, plants).tolist() == [1]
+        assert checks.after_all(law, strict, gains, plants).tolist() == counted
+        assert checks.after_all(law, strict._replace(strict=False), gains, plants).tolist() == [1]

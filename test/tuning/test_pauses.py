@@ -10,7 +10,7 @@ import pytest
 
 from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.laws.registry import LAWS
-from valve_control.design.tuning import pauses, trial
+from valve_control.design.tuning import checks, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
 
 PERIOD = 0.001
@@ -31,7 +31,7 @@ def problem(wanted, law="dcarc", **changes):
 
 
 def shortest(wanted, law="dcarc", **changes):
-    return pauses.unborne(LAWS[law], problem(wanted, law, **changes), [GAINS])[0]
+    return checks.unborne(LAWS[law], problem(wanted, law, **changes), [GAINS])[0]
 
 
 def reference(commands, **changes):
@@ -107,4 +107,4 @@ def test_what_is_not_reshaped_and_what_is_known_ahead_is_not_looked_at():
     reshaped = problem(wanted, **settings)
     none = trial.USUAL._replace(pause_s=0.0)
     for other in (reshaped._replace(preview=True), reshaped._replace(limits=none)):
-        assert pauses.unborne(LAWS["dcarc"], other, [GAINS]) == [math.inf]
+        assert checks.unborne(LAWS["dcarc"], other, [GAINS]) == [math.inf]

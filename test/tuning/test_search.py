@@ -17,7 +17,7 @@ from valve_control.control.linear import margins
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER, NODES
 from valve_control.control.simulation import robustness
-from valve_control.design.tuning import box, limit_cycles, pauses, search, trial, tuner, verification
+from valve_control.design.tuning import box, checks, limits, search, trial, tuner, verification
 from valve_control.design.tuning.search import EvaluatedGains
 from valve_control.design.tuning.trial import GainSet
 from valve_control.parameter import defaults, updated
@@ -87,10 +87,10 @@ def test_search_keeps_the_margins_and_is_the_same_on_any_number_of_threads(each,
     prepared = margins.prepared(p.box)
     for point in runs[0].points:
         params = LAWS["pid"].build(trial.values_with(p, point.gains))
-        assert trial.violation(LIMITS, margins.margins(LAWS["pid"], params, prepared)) == 0.0
+        assert limits.violation(LIMITS, margins.margins(LAWS["pid"], params, prepared)) == 0.0
     assert runs[0].missed > 0
     gains = [point.gains for point in search.front(runs[0].points)]
-    assert set(limit_cycles.restless_shares(LAWS["pid"], p, gains)) == {0.0}
+    assert set(checks.restless_shares(LAWS["pid"], p, gains)) == {0.0}
     start = trial.run(LAWS["pid"], p, [GainSet({}, 0.0)])[0]
     best = min((q for q in runs[0].points if q.chatter <= 0.3), key=lambda q: q.error)
     assert best.error < 0.7 * start.error
@@ -107,7 +107,7 @@ def test_gains_bear_a_pause_of_the_command():
         found = search.search(law, asked, [search.Phase(0.4, 1.0)], 150, 1, lambda done: None, 1)
         front = search.front(found.points)
         assert front
-        found = pauses.unborne(law, _bearing(there), [point.gains for point in front])
+        found = checks.unborne(law, _bearing(there), [point.gains for point in front])
         borne.append([math.isinf(pause) for pause in found])
         chosen = chosen or next(p for p, bears in zip(front, borne[0], strict=True) if not bears)
     assert not all(borne[0]) and all(borne[1])
@@ -149,9 +149,9 @@ def test_what_swings_at_rest_is_told_from_what_creeps_and_from_noise():
     }
     for what, (position, swings) in positions.items():
         trace = np.stack([position, position, 0.5 + 20.0 * noise], axis=1)
-        assert limit_cycles.restless(trace[None], 0.001, 1.0)[0] == swings, what
+        assert checks.restless(trace[None], 0.001, 1.0)[0] == swings, what
     voltage = 2.0 * np.sign(np.sin(2.0 * math.pi * 40.0 * times))
-    assert all(limit_cycles.restless(np.stack([noise, noise, voltage], axis=1)[None], 0.001, 1.0))
+    assert all(checks.restless(np.stack([noise, noise, voltage], axis=1)[None], 0.001, 1.0))
 
 
 @pytest.mark.parametrize(

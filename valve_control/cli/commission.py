@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from valve_control import interrupts, outputs, priority
 from valve_control.cli.common import Progress, check_processes, check_search, say, write_json, wrote
 from valve_control.control.laws.registry import LAWS
+from valve_control.design.commissioning.bench import Fault, Plan, SafetyLimits, check
 from valve_control.parameter import ParameterError, number, word
 
 if TYPE_CHECKING:
-    from valve_control.design.commissioning.bench import SafetyLimits
     from valve_control.design.commissioning.folder import Folder
     from valve_control.design.commissioning.sequence import Result, Reversal
     from valve_control.nodes.commissioning_client import Controller
@@ -82,8 +82,6 @@ def add_commands(commands: Any) -> None:
 
 def _commission(arguments: argparse.Namespace) -> int:
     _check(arguments)
-    from valve_control.design.commissioning.bench import Fault
-
     if arguments.undo:
         _backup(_folder(arguments))  # whether there is one is known without the node
     try:
@@ -126,14 +124,8 @@ def _check(arguments: argparse.Namespace) -> None:
 def _folder(arguments: argparse.Namespace) -> "Folder":
     from valve_control.design.commissioning.folder import Folder
 
-    node = "/" + arguments.node.strip("/")
-    return Folder(Path(arguments.folder), node, _limits(arguments), lambda path: wrote(arguments, path))
-
-
-def _limits(arguments: argparse.Namespace) -> "SafetyLimits":
-    from valve_control.design.commissioning.bench import SafetyLimits
-
-    return SafetyLimits(arguments.max_voltage, arguments.travel)
+    node, limits = "/" + arguments.node.strip("/"), SafetyLimits(arguments.max_voltage, arguments.travel)
+    return Folder(Path(arguments.folder), node, limits, lambda path: wrote(arguments, path))
 
 
 def _backup(folder: "Folder") -> "Values":
@@ -166,13 +158,12 @@ def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
 
 def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     from valve_control.design.commissioning import sequence
-    from valve_control.design.commissioning.plan import Plan, check
 
     before = controller.values()
     folder = _folder(arguments)
     folder.check(before)
     plan = Plan(
-        limits=_limits(arguments),
+        limits=folder.limits,
         law=arguments.controller or word(before, "controller"),
         chatter=CHATTER if arguments.max_chatter is None else arguments.max_chatter,
         firm=arguments.max_chatter is not None,
@@ -191,7 +182,9 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     reversal = sequence.Reversal()
     try:
         with sequence.reversible(controller, before, reversal):
-            result = sequence.run(controller, plan, before, _Steps(arguments, folder), records=records)
+            result = sequence.Commissioning(
+                controller, plan, before, _Steps(arguments, folder), records
+            ).run()
             folder.finish(result, "valve-control " + " ".join(arguments.line))
     except BaseException as error:
         _report_end(folder, reversal, error)
@@ -205,8 +198,6 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
 
 def _report_end(folder: "Folder", reversal: "Reversal", error: BaseException) -> None:
     """Say what became of the parameters at an early end, and put ``folder`` in order."""
-    from valve_control.design.commissioning.bench import Fault
-
     lines = list(reversal.report)
     if not reversal.restored and isinstance(error, Fault):
         lines.append(f"its parameters from before are in {folder.path}; --undo brings them back")

@@ -212,13 +212,22 @@ def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:
     }
 
 
-def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], title: str) -> None:
+def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], settings: Mapping[str, Values]) -> None:
     if arguments.figure is None:
         return
     from valve_control.control.analysis.figures import Trace, draw_traces
+    from valve_control.control.parameters import build
 
     traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
-    draw_traces(Path(arguments.figure), {title: traces}, "valve_control, offline")
+    law = runs[0].controller if len(runs) == 1 else "all laws"
+    files = ", ".join(Path(file).name for file in arguments.params_file) or "default parameters"
+    source, frequency = settings["command_source"], build.highest_frequency(settings["command_source"])
+    motion = f"{source['scenario']} of {source['amplitude']:g} V"
+    motion += f" up to {frequency:g} Hz" if frequency else ""
+    if source["scenario"] == "array":
+        motion = Path(str(source["command_file"])).name
+    title = f"{law} ({files}) on the valve {settings['valve_simulator']['valve']}: {motion}"
+    draw_traces(Path(arguments.figure), traces, title)
     wrote(arguments, arguments.figure)
 
 
@@ -254,7 +263,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
         if run.theta is not None:
             print("estimates at the end: " + ", ".join(f"{v:.4g}" for v in run.theta))
     _traces(arguments, run)
-    _figure(arguments, [run], str(settings["command_source"]["scenario"]))
+    _figure(arguments, [run], settings)
     write_json(arguments, _result(run, settings))
 
 
@@ -327,7 +336,7 @@ def _compare(arguments: argparse.Namespace) -> None:
             _say_cycle(run)
             if run.controller in paper:
                 print(index_row("  paper", paper[run.controller]))
-    _figure(arguments, runs, str(settings["command_source"]["scenario"]))
+    _figure(arguments, runs, settings)
     printed = {name: values._asdict() for name, values in paper.items()}
     write_json(arguments, {"runs": [_result(run, settings) for run in runs], "paper": printed})
 

@@ -178,7 +178,7 @@ def _chosen(arguments: argparse.Namespace) -> "Study":
 
 
 def _print(result: dict[str, Any]) -> None:
-    from valve_control.design.tuning import limits, verification
+    from valve_control.design.tuning import limits
 
     percents = list(next(iter(result["percentiles"].values()), {}))
     print(f"{'percentile':16}" + "".join(f"{p:>9}" for p in percents))
@@ -194,7 +194,7 @@ def _print(result: dict[str, Any]) -> None:
     )
     print(f"worst by e_rms (--replay N): {', '.join(map(str, result['worst']['e_rms']))}")
     if result["limits"]:
-        print("\n".join(limits.as_text(result["limits"], f"of the first {verification.LOOKED_AT} valves")))
+        print("\n".join(limits.as_text(result["limits"], "valves")))
 
 
 def _draw(path: Path, found: "StudyResult", controller: str) -> None:

@@ -11,18 +11,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control import outputs
 from valve_control.cli.common import (
     Progress,
     bag_options,
     check_outputs,
     check_processes,
     check_search,
+    deliver,
     fix_option,
     say,
     tell_notes,
     write_json,
-    wrote,
 )
 from valve_control.cli.simulate import delivery_of, delivery_options, settings_of, setup_options
 from valve_control.cli.study import box_of
@@ -127,13 +126,12 @@ def _tune(arguments: argparse.Namespace) -> int:
         task, arguments.max_chatter, arguments.budget, arguments.threads,
         lambda done, law: progress(done, f" ({law})"),
     )  # fmt: skip
-    files = {name: paths[name] for name, one in tuned.items() if paths and one.chosen.holds}
+    holding = {name: one for name, one in tuned.items() if one.chosen.holds}
+    files = {name: paths[name] for name in holding if paths}
     laws = {name: {**tuner.as_dict(one), "file": files.get(name)} for name, one in tuned.items()}
     result = {"laws": laws, **({"missing": missing} if missing else {})}
     if run is not None:
         result["recording"] = recorded.as_dict(run.fitted)
-    for name, path in files.items():
-        _save(arguments, path, task.seen.values, tuned[name], run.fitted.values if run is not None else {})
     for text in missing.values():
         print(text, file=sys.stderr)
     for name, one in tuned.items():
@@ -142,8 +140,14 @@ def _tune(arguments: argparse.Namespace) -> int:
             print(f"{name}: {text}", file=sys.stderr)
     if tuned and arguments.json != "-":
         _print(tuned)
+    for name, one in holding.items():
+        text = _yaml(arguments, task.seen.values, one, run.fitted.values if run is not None else {})
+        if name in files:
+            deliver(arguments, files[name], text)
+        elif arguments.json is None:
+            print(text, end="")
     write_json(arguments, result)
-    return 0 if all(name in tuned and tuned[name].chosen.holds for name in laws | missing) else FAILED
+    return 0 if len(holding) == len(task.laws) else FAILED
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -151,8 +155,6 @@ def _check(arguments: argparse.Namespace) -> None:
     for name, value in {**about_bag, "map": arguments.map or None}.items():
         if arguments.bag is None and value is not None:
             raise ParameterError(f"--{name} is for a recording; give --bag too")
-    if arguments.output is None and arguments.json is None:
-        raise ParameterError("tune without --output or --json keeps no gains; give one of them")
     check_processes("threads", arguments.threads)
     check_search(_seed(arguments), arguments.valves, arguments.unseen, arguments.budget)
     if arguments.preview and any(getattr(arguments, name) is not None for name in DELIVERY):
@@ -265,8 +267,8 @@ def _paths(output: str | None, laws: Sequence[str]) -> dict[str, str]:
     }
 
 
-def _save(arguments: argparse.Namespace, path: str, values: Values, one: "Tuned", valve: Values) -> None:
-    """Write the gains, and what differs from the defaults in the fitted ``valve``; {}: none is fitted."""
+def _yaml(arguments: argparse.Namespace, values: Values, one: "Tuned", valve: Values) -> str:
+    """The gains, and what differs from the defaults in the fitted ``valve``; {}: none is fitted."""
     from valve_control.control.parameters import ros_file
     from valve_control.control.parameters.table import VALVE
     from valve_control.design.tuning import tuner, verification
@@ -282,13 +284,12 @@ def _save(arguments: argparse.Namespace, path: str, values: Values, one: "Tuned"
     usual = defaults(VALVE)
     others = {name: value for name, value in valve.items() if value != usual[name]}
     sections = {"/**/controller": chosen, **({"/**/valve_simulator": others} if others else {})}
-    outputs.write(path, ros_file.as_yaml(sections, about))
-    wrote(arguments, path)
+    return ros_file.as_yaml(sections, about)
 
 
 def _print(found: "Mapping[str, Tuned]") -> None:
     from valve_control.control.linear import margins
-    from valve_control.design.tuning import limits, overshoot, verification
+    from valve_control.design.tuning import checks, limits, verification
 
     print(
         f"{'law':12}{'e_rms [V]':>12}{'95 % [V]':>12}{'c_u':>8}"
@@ -298,10 +299,10 @@ def _print(found: "Mapping[str, Tuned]") -> None:
     for name, one in found.items():
         row, verified = reached[name], one.chosen.verified
         worst = margins.worst(verified.margins)
-        numbers = (f"{row['e_rms'][part] or math.nan:12.4f}" for part in ("median", "p95"))
-        settled = f"> {1e3 * overshoot.HELD:g}" if math.isinf(verified.settling) else ""
+        numbers = (f"{row['e_rms'][part]:12.4f}" for part in ("median", "p95"))
+        settled = f"> {1e3 * checks.HELD:g}" if math.isinf(verified.settling) else ""
         print(
-            f"{name:12}{''.join(numbers)}{row['c_u'] or math.nan:8.3f}{worst.gain_db[0]:11.3g}"
+            f"{name:12}{''.join(numbers)}{row['c_u']:8.3f}{worst.gain_db[0]:11.3g}"
             f"{worst.phase_deg[0]:13.3g}{1e3 * worst.delay_s[0]:12.3g}"
             f"{100.0 * verified.overshoot:9.2g} %{settled or f'{1e3 * verified.settling:.3g}':>7} ms"
             + ("" if one.chosen.holds else "  not accepted")

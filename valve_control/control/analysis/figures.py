@@ -3,13 +3,19 @@
 """Draws runs over time and other curves with matplotlib, as PNG or SVG files."""
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from valve_control import outputs
 from valve_control.arrays import Floats
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+PIECES = 6  # between two turns or rests of a command, that a detail shows, as three periods of a sine are
+LEAST = 0.1  # s  of a detail, that a step shows how it is answered
+ZOOMED = 0.5  # of a run, up to which a detail is worth its place
 
 
 class Trace(NamedTuple):
@@ -61,24 +67,46 @@ def _subplots(rows: int, columns: int, height: float) -> tuple[Any, Any]:
     return figure, axes
 
 
-def _trace_plots(traces: Mapping[str, Trace]) -> list[Plot]:
+def _detail(command: Floats, period: float) -> slice:
+    """Samples that show PIECES of ``command`` [V]: a few periods, or its last edge; all if it has no more."""
+    signs = np.sign(np.diff(command, prepend=command[:1]))
+    begins = np.flatnonzero(np.diff(signs, prepend=0.0))
+    moves = [(first, end) for first, end in pairwise([*begins, len(command)]) if signs[first] != 0.0]
+    if not moves:
+        return slice(0, len(command))
+    length = max(round(LEAST / period), PIECES * int(np.median([end - first for first, end in moves])))
+    firsts = [first - length // 10 for first, _ in moves]
+    fitting = [first for first in firsts if first >= 0 and first + length <= len(command)]
+    return slice(fitting[-1], fitting[-1] + length) if fitting else slice(0, len(command))
+
+
+def _trace_plots(traces: Mapping[str, Trace], shown: slice) -> list[Plot]:
     """Command and position, error, and voltage over time; a colour per run."""
     first = next(iter(traces.values()))
-    top, middle, bottom = [Line("command", first.time, first.command, "black")], [], []
+    stroke = float(np.ptp(first.command))
+    top, middle, bottom = [Line("command", first.time[shown], first.command[shown], "black")], [], []
     for i, (label, trace) in enumerate(traces.items()):
-        colour = COLOURS[i % len(COLOURS)]
-        top.append(Line(label, trace.time, trace.position, colour))
-        middle.append(Line(label, trace.time, trace.position - trace.command, colour))
-        bottom.append(Line(label, trace.time, trace.voltage, colour))
-    return [Plot("spool position [V]", top), Plot("error [V]", middle), Plot("solenoid voltage [V]", bottom)]
+        colour, time, error = COLOURS[i % len(COLOURS)], trace.time[shown], trace.position - trace.command
+        rms = float(np.sqrt(np.nanmean(np.square(error))))
+        share = f" ({100.0 * rms / stroke:.2g} % of the stroke)" if stroke > 0.0 else ""
+        top.append(Line(label, time, trace.position[shown], colour))
+        middle.append(Line(f"{label}: {1e3 * rms:.3g} mV rms{share}", time, 1e3 * error[shown], colour))
+        bottom.append(Line(label, time, trace.voltage[shown], colour))
+    return [Plot("spool position [V]", top), Plot("error [mV]", middle), Plot("voltage [V]", bottom)]
 
 
-def draw_traces(path: Path, groups: Mapping[str, Mapping[str, Trace]], title: str) -> None:
-    """Draw command and position, error, and voltage over time; a column per group, a colour per run.
+def draw_traces(path: Path, traces: Mapping[str, Trace], title: str) -> None:
+    """Draw command and position, error, and voltage over time, a colour per run; beside it a detail of each.
 
-    The runs of a group have one command. Raises OSError if ``path`` cannot be written.
+    The runs have one command. Raises OSError if ``path`` cannot be written.
     """
-    columns = {name: _trace_plots(traces) for name, traces in groups.items()}
+    first = next(iter(traces.values()))
+    shown = (
+        _detail(first.command, float(first.time[1] - first.time[0])) if len(first.time) > 1 else slice(0, 1)
+    )
+    columns = {"whole run": _trace_plots(traces, slice(None))}
+    if shown.stop - shown.start <= ZOOMED * len(first.time):
+        columns["detail"] = _trace_plots(traces, shown)
     draw_columns([path], columns, "time [s]", title)
 
 

@@ -17,7 +17,7 @@ from valve_control.design.commissioning import magnet, plant
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.sequence import Result
 from valve_control.design.identification import bode, result
-from valve_control.design.tuning import limit_cycles, limits, verification
+from valve_control.design.tuning import checks, limits, verification
 
 THIN = 5  # every n-th sample of the slow triangle is drawn
 
@@ -82,15 +82,15 @@ def _valve(found: Result) -> str:
     rows = {
         "noise at rest": f"{1e3 * rest.noise:.3g} mV",
         "step of the converter": f"{1e3 * rest.resolution:.3g} mV",
-        "reading at 0 V": f"{1e3 * rest.position:.3g} mV",
+        "reading at 0 V": f"{1e3 * rest.position:z.1f} mV",
         "static gain (slow triangle)": f"{static.gain:.4g} V/V",
         "static gain (model)": f"{valve.model.static_gain:.4g} V/V",
-        "voltage that holds the spool at 0 V": f"{static.offset:.3g} V",
+        "voltage that holds the spool at 0 V": f"{static.offset:z.2f} V",
         "friction in motion": f"{valve.friction.coulomb:.3g} V",
         "friction at rest, over that": f"{valve.friction.static_ratio:.3g}",
         "presliding of its bristles": f"{1e3 * valve.presliding:.3g} mV",
         "dead zone after a turn": f"{static.dead_zone:.3g} V",
-        "dead time": f"{1e3 * valve.delay:.3g} ms",
+        "dead time": f"{1e3 * valve.delay:z.2f} ms",
         "poles": result.roots_text(bode.roots(valve.model.denominator)),
         "zeros": result.roots_text(bode.roots(valve.model.numerator)),
         "-90° at": result.hertz(bode.model_corners(valve.model, valve.delay).minus_90),
@@ -142,7 +142,7 @@ def _margins(found: Result) -> str:
     for name, worst in limits.worst(limits.of_margins(verified.margins)).items():
         rows[f"{name} [{limits.BY_NAME[name].unit or '-'}]"] = limits.BY_NAME[name].scale * worst
     for share, error in unseen["e_rms"].items():
-        rows[f"e_rms, {share} of {unseen['valves']} valves [V]"] = np.inf if error is None else error
-    rows[f"valves that do not rest within {limit_cycles.HELD:g} s"] = unseen["restless"]
+        rows[f"e_rms, {share} of {unseen['valves']} valves [V]"] = error
+    rows[f"valves that do not rest within {checks.HELD:g} s"] = unseen["restless"]
     texts = {name: f"{v:.3g}" if np.isfinite(v) else "without end" for name, v in rows.items()}
     return "<p>The least over a box around this valve.</p>" + _table(texts)

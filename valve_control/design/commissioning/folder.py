@@ -47,7 +47,7 @@ class Folder:
     def __init__(
         self, path: Path, node: str, limits: SafetyLimits, wrote: Callable[[Path], None] = lambda path: None
     ) -> None:
-        self.path, self.node, self._limits = path, node, limits
+        self.path, self.node, self.limits = path, node, limits
         self.results: list[Path] = []
         self._wrote = wrote
         self._tests: dict[str, Record] = {}
@@ -115,7 +115,7 @@ class Folder:
             for field, value in one._asdict().items()
         }
         packed = io.BytesIO()
-        np.savez_compressed(packed, node=np.array(self.node), limits=np.array(self._limits), **arrays)
+        np.savez_compressed(packed, node=np.array(self.node), limits=np.array(self.limits), **arrays)
         outputs.write(str(self.path / TESTS), packed.getvalue())
 
     def tests(self, period: float) -> dict[str, Record]:
@@ -142,7 +142,7 @@ class Folder:
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise ParameterError(f"{path} is damaged: {error}") from error
         periods = {record.period for record in records.values()}
-        if (node, within) != (self.node, self._limits) or periods - {period}:
+        if (node, within) != (self.node, self.limits) or periods - {period}:
             raise ParameterError(
                 f"the tests in {self.path} are of {node} within ±{within.voltage:g} V and "
                 f"±{within.travel:g} V of travel; --resume needs the same node, --max-voltage, --travel and "

@@ -12,15 +12,14 @@ from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices, indices
 from valve_control.control.laws import dcarc
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters.table import CONTROLLER, NODES
+from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
 from valve_control.control.plant.models import scale_of
 from valve_control.control.simulation import offline
 from valve_control.design.commissioning import model, plant
-from valve_control.design.commissioning.bench import Fault, Progress, Record
+from valve_control.design.commissioning.bench import Fault, Plan, Progress, Record
 from valve_control.design.commissioning.courses import derivatives
-from valve_control.design.commissioning.plan import Plan
+from valve_control.design.commissioning.evaluation import Rest
 from valve_control.design.commissioning.plant import Plant
-from valve_control.design.commissioning.statics import Rest
 from valve_control.design.identification.first_gains import FRICTION_TERMS
 from valve_control.design.tuning import box, trial, tuner
 from valve_control.design.tuning.trial import Problem, TuningMotion
@@ -96,18 +95,11 @@ def task(plan: Plan, before: Values, fitted: Plant, known: model.Known, rest: Re
     ParameterError.
     """
     limits, period = plan.limits, number(before, "sample_period")
-    valve = updated(
-        NODES["valve_simulator"],
-        defaults(NODES["valve_simulator"]),
-        plant.values(fitted, rest, period, limits.voltage, plan.sensor_delay),
-    )
+    own = plant.values(fitted, rest, period, limits.voltage, plan.sensor_delay)
+    valve = updated(VALVE, defaults(VALVE), own)
     knowledge = _knowledge(before, known, plan.law)
-    values = updated(
-        CONTROLLER,
-        before,
-        {**knowledge, "controller": plan.law, "u_max": limits.voltage, "command_limit": limits.travel},
-    )
-    source = updated(NODES["command_source"], defaults(NODES["command_source"]), {"sample_period": period})
+    values = _limited(plan, before, {**knowledge, "controller": plan.law})
+    source = {**defaults(NODES["command_source"]), "sample_period": period}
     settings = {"controller": values, "valve_simulator": valve, "command_source": source}
     quantities = model.box(fitted, period, wider, plan.sensor_delay)
     problem, unseen = box.problems(
@@ -152,9 +144,11 @@ def learning_path(fitted: Plant, law: str, travel: float) -> Values:
     return {"dcarc.learning_path": float(f"{2.0 * min(farthest, travel):.3g}")}
 
 
-def tuned(plan: Plan, wanted: Task, fitted: Plant, tell: Progress) -> TunedGains:
-    """Gains for the task ``wanted``; what ``tell`` raises ends the search. Raises ParameterError."""
-    law = LAWS[plan.law]
+def tuned(
+    plan: Plan, before: Values, fitted: Plant, known: model.Known, rest: Rest, wider: float, tell: Progress
+) -> TunedGains:
+    """Gains for the ``task`` of these; what ``tell`` raises ends the search. Raises ParameterError."""
+    wanted, law = task(plan, before, fitted, known, rest, wider), LAWS[plan.law]
     total = plan.budget * len(tuner.variants(law, wanted.problem.values))
     tell(0.0, total)
     best = tuner.tuned(
@@ -173,7 +167,7 @@ def loudness(plan: Plan, before: Values, candidate: TunedGains) -> float:
     The search knows the mean of valves and motions; a single run can have more. Raises ParameterError.
     """
     motion = verifying_motion(candidate, number(before, "sample_period"))
-    return _simulated(_limited(plan, before, candidate.changes), candidate.valve, motion).indices.c_u
+    return _simulated(_limited(plan, before, candidate.changes), candidate.valve, motion)[0].c_u
 
 
 def verifying_motion(candidate: TunedGains, period: float) -> VerifyingMotion:
@@ -191,20 +185,14 @@ def verifying_motion(candidate: TunedGains, period: float) -> VerifyingMotion:
     return VerifyingMotion(whole, judged, tuple(judged + int(n) for n in np.cumsum([0, *lengths])))
 
 
-class _Simulated(NamedTuple):
-    """The judged part of a simulated run."""
-
-    indices: Indices
-    bounded: bool  # whether it stays finite, and below the limit of the voltage most of the time
-
-
 def _simulated(
     values: Values, valve: Values, motion: VerifyingMotion, steady: npt.NDArray[np.bool_] | None = None
-) -> _Simulated:
-    """Run of a controller with ``values`` on the ``valve``, from a spool at rest in the centre.
+) -> tuple[Indices, bool]:
+    """Indices of a controller with ``values`` on the ``valve``, from a spool at rest in the centre.
 
-    The motion [V] comes as points of a trajectory, as on the running valve. ``steady``: samples of the judged
-    part that count, all if None.
+    And whether the run stays finite, and below the limit of the voltage most of the time. The motion [V]
+    comes as points of a trajectory, as on the running valve. ``steady``: samples of the judged part that
+    count, all if None.
     """
     wanted, judged = motion.wanted, motion.judged
     moved = derivatives(wanted, number(valve, "sample_period"))
@@ -213,7 +201,7 @@ def _simulated(
         kept = None if steady is None else np.resize(steady, len(wanted) - judged)
         reached = indices((run.measurement - wanted)[judged:], run.voltage[judged:], run.period, kept)
     bounded = np.all(np.isfinite(run.measurement)) and np.mean(run.at_limit[judged:]) < SATURATED
-    return _Simulated(reached, bool(bounded))
+    return reached, bool(bounded)
 
 
 def _limited(plan: Plan, before: Values, changes: Values) -> Values:
@@ -230,8 +218,8 @@ def judged(
     Samples that are not ``steady`` count in neither. Raises ParameterError.
     """
     measured, kept = _indices(record), steady(record)
-    expected = _simulated(_limited(plan, before, candidate.changes), candidate.valve, motion, kept).indices
-    former = _simulated(_limited(plan, before, {}), candidate.valve, motion, kept)
+    expected, _ = _simulated(_limited(plan, before, candidate.changes), candidate.valve, motion, kept)
+    former, bounded = _simulated(_limited(plan, before, {}), candidate.valve, motion, kept)
     reasons = []
     if not measured.e_rms <= WORSE * expected.e_rms + SLACK:
         reasons.append(
@@ -241,7 +229,7 @@ def judged(
     most_chatter = WORSE * max(plan.chatter, candidate.tuned.chatter or 0.0, expected.c_u)
     if not measured.c_u <= most_chatter:
         reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
-    return Verification(record, measured, expected, former.indices if former.bounded else None, reasons)
+    return Verification(record, measured, expected, former if bounded else None, reasons)
 
 
 def judged_part(motion: VerifyingMotion, whole: Record, end: int) -> Record:
@@ -319,10 +307,10 @@ def beside(several: Sequence[TunedGains]) -> list[str]:
     if len(several) < 2:
         return []
     errors = []
-    for candidate in several:
-        verified = candidate.tuned.chosen.verified
+    for tuned in (candidate.tuned for candidate in several):
+        verified = tuned.chosen.verified
         error = f"{1e3 * trial.typical(verified.seen.e_rms):.3g} mV with c_u {verified.seen.chatter:.3f}"
-        errors.append(f"{candidate.tuned.law} {error}{', not accepted' if verified.reasons else ''}")
+        errors.append(f"{tuned.law} {error}{', not accepted' if verified.reasons else ''}")
     return [f"in simulation, on valves that the searches did not see: {', '.join(errors)}"]
 
 

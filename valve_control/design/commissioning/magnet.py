@@ -19,7 +19,7 @@ from valve_control.control.plant import solenoid
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.plant.solenoid_valve import transfer
-from valve_control.design.commissioning.statics import Friction
+from valve_control.design.commissioning.evaluation import Friction
 from valve_control.design.identification.characteristic import TOLD_OVERLAP
 from valve_control.parameter import Values
 

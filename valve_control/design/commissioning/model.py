@@ -13,8 +13,8 @@ from valve_control.control.laws.dcarc_design import MOST_DELAY
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation.robustness import Quantity
 from valve_control.design.commissioning.bench import SafetyLimits
+from valve_control.design.commissioning.evaluation import Rest
 from valve_control.design.commissioning.plant import Plant
-from valve_control.design.commissioning.statics import Rest
 from valve_control.design.identification import dead_time, first_gains, rational, theta
 from valve_control.design.identification.bode import held_response
 from valve_control.design.identification.friction import Friction

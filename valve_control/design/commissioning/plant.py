@@ -23,8 +23,8 @@ from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
 from valve_control.design.commissioning import magnet
 from valve_control.design.commissioning.bench import Record
+from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.commissioning.magnet import Magnet
-from valve_control.design.commissioning.statics import Friction, Rest
 from valve_control.design.identification.rational import Fit
 from valve_control.parameter import Values
 

@@ -9,6 +9,7 @@ determine stays as it was known, and in the box as wide as before. Readings tell
 solenoids as a whole: the sensor keeps what is known of it, and the rest is the actuator's.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -60,7 +61,8 @@ class Learnt(NamedTuple):
         unit = "" if self.unit == "-" else f" {self.unit}"
         times = " (times the known valve's)" if self.name in FACTORS else ""
         if self.determined:
-            return f"{self.name}: {self.value:.4g} ± {self.bound:.2g}{unit}{times}"
+            digits = max(0, 1 - math.floor(math.log10(max(self.bound, 1e-9))))
+            return f"{self.name}: {self.value:z.{digits}f} ± {self.bound:.{digits}f}{unit}{times}"
         return f"{self.name}: not determined by this recording; stays {self.value:.4g}{unit}{times}"
 
 
@@ -150,17 +152,11 @@ def run(
 
 def as_dict(fitted: RecordedValve) -> dict[str, Any]:
     """For JSON: the quantities of the fitted valve, and the rms residual [V] of its readings."""
-    return {
-        "valve": {
-            one.name: {
-                "value": one.value,
-                "bound": one.bound if one.determined else None,
-                "determined": one.determined,
-            }
-            for one in fitted.learnt
-        },
-        "residual": fitted.residual,
-    }
+    rows = {one.name: one._asdict() for one in fitted.learnt}
+    for row in rows.values():
+        del row["name"], row["unit"]
+        row["bound"] = row["bound"] if row["determined"] else None
+    return {"valve": rows, "residual": fitted.residual}
 
 
 def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedValve:
@@ -181,7 +177,8 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedV
             f"have {noise:.2g} V of noise; record the loop while its command moves"
         )
     base = _of_recording(known, tested)
-    begin = {form.name: _present(form.name, base) for form in FORMS}
+    begin = {form.name: 1.0 if form.name in FACTORS else number(base, form.name) for form in FORMS}
+    begin["lvdt.delay"] += number(base, BEFORE_COIL) if _has_coil(base) else 0.0
     free = [form for form in FORMS if form.name not in fixed]
     usable[: round(START / tested.period)] = False
     unknown: list[Learnt] = []
@@ -207,26 +204,18 @@ def box(fitted: RecordedValve, usual: Sequence[Quantity]) -> list[Quantity]:
     """The ``usual`` box, narrower in what was determined, around the ``fitted`` valve."""
     named = {"lvdt.delay" if one.name == WHOLE else one.name: one for one in fitted.learnt}
     margins = {form.name: form.margin for form in FORMS}
-    quantities = []
-    for q in usual:
-        if q.name in named and named[q.name].determined:
-            middle = 1.0 if q.name in FACTORS else number(fitted.values, q.name)
-            reach = named[q.name].bound + margins[q.name]
-            low = middle - reach
-            q = q._replace(low=max(0.0, low) if q.low >= 0.0 else low, high=middle + reach)
-        if q.name in margins:
-            quantities.append(q)
-    return quantities
+    quantities = {q.name: q for q in usual if q.name in margins}
+    for name, q in quantities.items():
+        if name in named and named[name].determined:
+            middle = 1.0 if name in FACTORS else number(fitted.values, name)
+            reach = named[name].bound + margins[name]
+            low = max(0.0, middle - reach) if q.low >= 0.0 else middle - reach
+            quantities[name] = q._replace(low=low, high=middle + reach)
+    return list(quantities.values())
 
 
 def _has_coil(values: Values) -> bool:
     return registry.chosen(values).name == "solenoid"
-
-
-def _present(name: str, values: Values) -> float:
-    if name == "lvdt.delay" and _has_coil(values):
-        return number(values, name) + number(values, BEFORE_COIL)
-    return 1.0 if name in FACTORS else number(values, name)
 
 
 def _with(base: Values, quantities: Mapping[str, float]) -> Values:
@@ -245,12 +234,8 @@ def _of_recording(known: Values, tested: Experiment) -> Values:
 
     A lower limit of the amplifier that mirrors the upper one goes with it. Raises ParameterError.
     """
-    changes = {
-        "sample_period": tested.period,
-        "u_max": max(0.1, tested.u_max),
-        "lvdt.resolution": 0.0,
-        "solenoid.bits": 0,
-    }
+    changes = {"sample_period": tested.period, "u_max": max(0.1, tested.u_max)}
+    changes |= {"lvdt.resolution": 0.0, "solenoid.bits": 0}
     if number(known, "solenoid.u_min") == -number(known, "u_max"):
         changes["solenoid.u_min"] = -changes["u_max"]
     return updated(NODES["valve_simulator"], known, changes)

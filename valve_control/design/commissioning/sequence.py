@@ -18,15 +18,25 @@ import numpy as np
 
 from valve_control import interrupts, priority
 from valve_control.control.analysis.timing import Spread, spread
-from valve_control.design.commissioning import courses, gains, model, plant, small_signal, statics
-from valve_control.design.commissioning.bench import Bench, Course, Fault, Mark, Pause, Record, Swings, joined
+from valve_control.design.commissioning import courses, evaluation, gains, model, plant
+from valve_control.design.commissioning.bench import (
+    Bench,
+    Course,
+    Fault,
+    Mark,
+    Pause,
+    Plan,
+    Record,
+    Swings,
+    joined,
+    limiting,
+)
+from valve_control.design.commissioning.evaluation import Rest, Static
 from valve_control.design.commissioning.gains import TunedGains, Verification, VerifyingMotion
-from valve_control.design.commissioning.plan import Plan, limiting
 from valve_control.design.commissioning.plant import Plant
-from valve_control.design.commissioning.statics import Rest, Static
 from valve_control.design.identification import dead_time, lvdt
 from valve_control.design.identification.response import Response
-from valve_control.design.tuning import tuner, verification
+from valve_control.design.tuning import limits, tuner, verification
 from valve_control.design.tuning.tuner import Tuned
 from valve_control.parameter import ParameterError, Value, Values, number
 
@@ -52,6 +62,7 @@ SIMULATIONS = 600.0  # about, of the step "model"
 REST, SLOW, SINE = "noise at rest", "slow triangle", "stepped sine"  # the tests
 SEARCH, LAST = "search", "new gains"  # steps without a course, in which pauses are counted
 Courses = Callable[[int, Mark], Course]  # the rest of a step from a stretch on, from rest
+Records = Mapping[str, Record]  # by the name of the test
 T = TypeVar("T")
 
 
@@ -153,35 +164,15 @@ def differences(present: Values, wanted: Values) -> dict[str, Value]:
     return {name: value for name, value in wanted.items() if present.get(name) != value}
 
 
-def run(
-    bench: Bench,
-    plan: Plan,
-    before: Values,
-    steps: Steps,
-    tests: Tests | None = None,
-    records: Mapping[str, Record] | None = None,
-) -> Result:
-    """Commission the valve of ``bench``, whose controller has the parameters ``before``.
+class Commissioning:
+    """One valve on its way from the parameters ``before`` to new ones.
 
-    ``tests`` that were made of this valve within the same limits are not made again, nor are those of which
-    there are ``records``.
-
-    Raises Fault, ParameterError (one sentence) or Refused; the controller then is as it was left: call it
-    within ``reversible``.
+    ``bench``: of the valve, whose controller has the parameters ``before``. Tests of which there are
+    ``records`` are not made again.
     """
-    return _Commissioning(bench, plan, before, steps, records).run(tests)
-
-
-class _Commissioning:
-    """One valve on its way from the parameters ``before`` to new ones."""
 
     def __init__(
-        self,
-        bench: Bench,
-        plan: Plan,
-        before: Values,
-        steps: Steps,
-        records: Mapping[str, Record] | None = None,
+        self, bench: Bench, plan: Plan, before: Values, steps: Steps, records: Records | None = None
     ) -> None:
         self._bench, self._plan, self._before, self._steps = bench, plan, before, steps
         self._records = dict(records or {})
@@ -192,7 +183,12 @@ class _Commissioning:
         self._still = max(STILL, NOISE * lvdt.WINDOW * self._period)  # s
         self._simulations = -1.0  # of the step "model"
 
-    def run(self, tests: Tests | None) -> Result:
+    def run(self, tests: Tests | None = None) -> Result:
+        """Commission; ``tests`` that were made of this valve within the same limits are not made again.
+
+        Raises Fault, ParameterError (one sentence) or Refused; the controller then is as it was left: call it
+        within ``reversible``.
+        """
         before, u_max = self._before, number(self._before, "u_max")
         self._ask(
             f"0 V; the controller gets its limits (±{self._limits.voltage:g} V, reading within "
@@ -210,8 +206,7 @@ class _Commissioning:
             self._steps.progress("model", SIMULATIONS, SIMULATIONS)
         chosen, verified, refusals = self._accepted(tests, known)
         final = self._kept(chosen.changes)
-        answers = [record.latency for record in (tests.slow, tests.sine) if record is not None]
-        way = spread(np.concatenate([np.empty(0), *answers]))
+        way = spread(np.concatenate([tests.slow.latency, tests.sine.latency]))
         notes = [
             *tests.response.notes,
             *_about_plant(tests.plant),
@@ -238,7 +233,7 @@ class _Commissioning:
         """Noise, friction and response of the valve in open loop, and the plant that is fitted to them."""
         limits, period = self._limits, self._period
         still = self._test(REST, lambda first, mark: courses.rest(self._still, mark, first), self._still)
-        rest = statics.at_rest(still)
+        rest = evaluation.at_rest(still)
         rate = RATE * limits.voltage
         slow = self._test(
             SLOW,
@@ -247,8 +242,8 @@ class _Commissioning:
             f"a slow triangle of the voltage up to ±{limits.voltage:g} V, turned at {courses.REACH:.0%} of "
             "the travel",
         )
-        static = statics.slow(slow, rest)
-        planned = small_signal.plan(limits, static, period)
+        static = evaluation.slow(slow, rest)
+        planned = evaluation.plan(limits, static, period)
         first_step, last_step = planned.steps[0], planned.steps[-1]
         sine = self._test(
             SINE,
@@ -259,18 +254,15 @@ class _Commissioning:
             f"{last_step.end:.0f} s of sines of {planned.amplitude:.2g} V from {first_step.frequency:g} to "
             f"{last_step.frequency:g} Hz",
         )
+
+        def fit(tell: Callable[..., None]) -> tuple[Response, Plant]:
+            response, fits, friction = evaluation.linear(sine, planned, static, rest, tell)
+            begin = [slow, sine], fits, friction, static.offset, rest, tell, self._plan.threads
+            return response, plant.fitted(*begin, lambda: evaluation.higher(response, evaluation.RICHER)[0])
+
         with self._timed("model"):
             self._modelled()
-            response, fits, friction = self._background(
-                lambda tell: small_signal.linear(sine, planned, static, rest, tell), self._modelled
-            )
-            fitted = self._background(
-                lambda tell: plant.fitted(
-                    [slow, sine], fits, friction, static.offset, rest, tell, self._plan.threads,
-                    lambda: small_signal.richer(response),
-                ),
-                self._modelled,
-            )  # fmt: skip
+            response, fitted = self._background(fit, self._modelled)
             self._modelled()
         return Tests(rest, slow, static, sine, response, fitted)
 
@@ -300,7 +292,9 @@ class _Commissioning:
                 if len(refusals) > earlier and not last and not gains.rivals(candidate, several[0]):
                     break  # the law deserves its second search first
                 reasons = candidate.tuned.chosen.verified.reasons
-                if not reasons:
+                if reasons:
+                    reasons = [*reasons, *limits.binding(candidate.tuned.limits, "sets of gains")]
+                else:
                     verified, reasons = self._verified(candidate, doubted)
                     if verified is not None and not reasons:
                         notes = [f"gains were not accepted: {refusal}" for refusal in refusals]
@@ -350,11 +344,8 @@ class _Commissioning:
                 self._look()
                 self._steps.progress(step, done, total)
 
-            def work(tell: Callable[..., None]) -> TunedGains:
-                task = gains.task(plan, self._before, tests.plant, known, tests.rest, wider)
-                return gains.tuned(plan, task, tests.plant, tell)
-
-            return self._background(work, tell)
+            about = self._before, tests.plant, known, tests.rest, wider
+            return self._background(lambda tell: gains.tuned(plan, *about, tell), tell)
 
         plan = self._plan._replace(law=law)
         usual = search(plan, step)
@@ -579,8 +570,8 @@ def _about_plant(fitted: Plant) -> Iterator[str]:
         m = fitted.magnet
         yield (
             "a valve with solenoids describes the readings better than a linear one with friction: coil "
-            f"{1e3 * m.coil:.2g} ms, hysteresis {m.hysteresis:.2g} V, gains of the sides "
-            f"{m.positive:.3g} and {m.negative:.3g} times {m.gain:.3g} V/V, overlap {m.overlap:.2g} V"
+            f"{1e3 * m.coil:.2g} ms, hysteresis {m.hysteresis:.2f} V, gains of the sides "
+            f"{m.positive:.3g} and {m.negative:.3g} times {m.gain:.3g} V/V, overlap {m.overlap:z.2f} V"
         )
     elif fitted.presliding > 0.0:
         yield (

@@ -15,14 +15,12 @@ import numpy as np
 
 from valve_control.control.laws.law import Law
 from valve_control.control.linear.margins import EDGE, Margins
-from valve_control.design.tuning import limit_cycles, overshoot, pauses, trial
+from valve_control.design.tuning import checks, trial
 from valve_control.design.tuning.trial import GainSet, Problem, Threads, TuningLimits
 
 MARGINS = "hard"
 KEPT = "hard where it can be kept"
 WISH = "wish"
-
-
 Measure = Callable[[Law, Problem, Sequence[GainSet], Threads], list[float]]
 
 
@@ -36,7 +34,6 @@ class Limit(NamedTuple):
     rank: str
     wanted: str | float  # field of TuningLimits, or the limit itself
     reason: str  # with the {value} and the {limit} in the unit
-    endless: str = ""  # in the place of ``reason`` for a value without end
     margin: str = ""  # field of Margins that it limits
     measure: Measure | None = None  # of several sets of gains, by runs of their own
 
@@ -49,14 +46,20 @@ class Limit(NamedTuple):
         assert self.measure is not None, f"{self.name} is measured with others"
         return self.measure(law, problem, [gains], threads)[0]
 
+    def texts(self, row: Mapping[str, Any]) -> tuple[str, str]:
+        """The limit that is wanted and the best value of a ``row`` as for JSON, with their unit."""
+        finite = {key: math.isfinite(row[key]) for key in ("wanted", "best")}
+        wanted, best = (f"{self.scale * row[key]:.3g} {self.unit}".rstrip() for key in finite)
+        sign = "<=" if self.at_most else ">="
+        return f"{sign} {wanted}" if finite["wanted"] else "none", best if finite["best"] else "without end"
+
     def missed(self, value: float, wanted: float) -> bool:
         """Whether a ``value`` misses the limit ``wanted``."""
         return not value <= wanted if self.at_most else value < wanted
 
     def sentence(self, value: float, wanted: float) -> str:
         """About a ``value`` that misses the limit ``wanted``."""
-        text = self.reason if math.isfinite(value) else self.endless or self.reason
-        return text.format(value=self.scale * value, limit=self.scale * wanted)
+        return self.reason.format(value=self.scale * value, limit=self.scale * wanted)
 
 
 def _margin(name: str, unit: str, scale: float, wanted: str, margin: str) -> Limit:
@@ -70,16 +73,14 @@ def _saturation(law: Law, problem: Problem, several: Sequence[GainSet], threads:
 
 UNSTABLE = "a valve of the box makes the loop unstable (largest pole {value:.4f})"
 PEAK = "the sensitivity peaks at {value:.3g} dB, above {limit:g} dB"
-ENDLESS_PEAK = "the sensitivity peaks at without end, above {limit:g} dB"
 SWING = "in the loop friction sustains swings about rest of {value:.3g} V, above {limit:g} V"
-ENDLESS_SWING = "in the loop friction sustains swings about rest of any size, above {limit:g} V"
 SATURATED = "the amplifier saturates in {value:.2g} % of the samples"
 PAUSE = (
     "after a pause of the command of {limit:g} ms or less the reference does not come back while the motion "
     "lasts"
 )
 RESTLESS = (
-    f"{{value:.2g}} % of the valves in the box do not rest within {limit_cycles.HELD:g} s after a step when "
+    f"{{value:.2g}} % of the valves in the box do not rest within {checks.HELD:g} s after a step when "
     "half of the margins is gone"
 )
 OVERSHOT = "steps are overshot by {value:.3g} % on valves that were not seen, above {limit:g} %"
@@ -90,14 +91,12 @@ LIMITS = (
     _margin("gain margin downwards", "dB", 1.0, "gain_db", "reduction_db"),
     _margin("phase margin", "deg", 1.0, "phase_deg", "phase_deg"),
     _margin("delay margin", "ms", 1e3, "delay_s", "delay_s"),
-    Limit(
-        "sensitivity peak", "dB", 1.0, True, MARGINS, "sensitivity_db", PEAK, ENDLESS_PEAK, "sensitivity_db"
-    ),
-    Limit("swing", "V", 1.0, True, MARGINS, "swing", SWING, ENDLESS_SWING, "swing_v"),
+    Limit("sensitivity peak", "dB", 1.0, True, MARGINS, "sensitivity_db", PEAK, "sensitivity_db"),
+    Limit("swing", "V", 1.0, True, MARGINS, "swing", SWING, "swing_v"),
     Limit("saturation", "%", 100.0, True, KEPT, "saturated", SATURATED, measure=_saturation),
-    Limit("pause", "ms", 1e3, False, KEPT, "pause_s", PAUSE, measure=pauses.unborne),
-    Limit("not at rest", "%", 100.0, True, KEPT, 0.0, RESTLESS, measure=limit_cycles.restless_shares),
-    Limit("overshoot", "%", 100.0, True, WISH, "overshoot", OVERSHOT, measure=overshoot.medians),
+    Limit("pause", "ms", 1e3, False, KEPT, "pause_s", PAUSE, measure=checks.unborne),
+    Limit("not at rest", "%", 100.0, True, KEPT, 0.0, RESTLESS, measure=checks.restless_shares),
+    Limit("overshoot", "%", 100.0, True, WISH, "overshoot", OVERSHOT, measure=checks.overshoots),
     Limit("chatter", "", 1.0, True, WISH, math.inf, LOUD),
 )
 BY_NAME = {limit.name: limit for limit in LIMITS}
@@ -121,44 +120,63 @@ def worst(values: Mapping[str, Sequence[float]]) -> dict[str, float]:
 
 def margins_missed(limits: TuningLimits, found: Margins) -> list[str]:
     """A sentence about each of the ``limits`` that the margins of the worst valve miss."""
-    wanted = asked(limits)
-    rows = [(BY_NAME[name], value, wanted[name]) for name, value in worst(of_margins(found)).items()]
-    reasons = [limit.sentence(value, most) for limit, value, most in rows if limit.missed(value, most)]
-    pole, value, most = rows[0]
-    return reasons[:1] if pole.missed(value, most) else reasons
+    wanted, values = asked(limits), worst(of_margins(found))
+    missed = [BY_NAME[name] for name, value in values.items() if BY_NAME[name].missed(value, wanted[name])]
+    reasons = [limit.sentence(values[limit.name], wanted[limit.name]) for limit in missed]
+    return reasons[:1] if missed and missed[0].margin == "radius" else reasons
+
+
+def violation(limits: TuningLimits, found: Margins, share: float = 1.0) -> float:
+    """By how much the worst valve misses the ``limits``, times ``share`` the margins; 0.0: they hold.
+
+    Sum of what is missing of each as a part of it; an unstable loop misses more than any stable one.
+    """
+    missing = 0.0
+    for name, value in worst(of_margins(found)).items():
+        limit, wanted = BY_NAME[name], BY_NAME[name].asked(limits)
+        if limit.margin == "radius":
+            if value - 1.0 >= EDGE:
+                return 10.0 + 100.0 * (value - 1.0)
+        elif limit.margin == "swing_v":
+            part = value / (wanted / share)
+            missing += math.log(part) if part > 1.0 else 0.0
+        elif limit.at_most:
+            missing += max(0.0, value / (wanted / share) - 1.0)
+        elif wanted > 0.0:
+            missing += max(0.0, 1.0 - value / (wanted * share))
+    return missing
 
 
 def as_rows(values: Mapping[str, Sequence[float]], wanted: Mapping[str, float]) -> list[dict[str, Any]]:
-    """For JSON: one row for each limit with ``values``, of sets of gains or valves; without end: None."""
-
-    def finite(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-
+    """For JSON: one row for each limit with ``values``, of sets of gains or valves."""
     return [
         {
             "limit": limit.name,
             "rank": limit.rank,
-            "wanted": finite(wanted[limit.name]),
+            "wanted": wanted[limit.name],
             "looked_at": len(measured),
             "missed": sum(math.isnan(v) or limit.missed(v, wanted[limit.name]) for v in measured),
-            "best": finite((min if limit.at_most else max)(measured)),
+            "best": (min if limit.at_most else max)(measured),
         }
         for limit in LIMITS
         if (measured := values.get(limit.name))
     ]
 
 
+def binding(rows: Sequence[Mapping[str, Any]], what: str) -> list[str]:
+    """A sentence about the limit that most of ``what`` miss, of ``rows`` as for JSON; [] if none does."""
+    row = max(rows, key=lambda row: row["missed"] / row["looked_at"], default=None)
+    if row is None or not row["missed"]:
+        return []
+    limit, missed = BY_NAME[row["limit"]], f"{row['missed']} of {row['looked_at']}"
+    wanted, best = limit.texts(row)
+    return [f"the {limit.name} binds: {missed} {what} miss it, the best has {best} ({wanted})"]
+
+
 def as_text(rows: Sequence[Mapping[str, Any]], what: str) -> list[str]:
     """Lines of a table of ``rows`` as for JSON, counted in ``what``, such as "sets of gains"."""
-
-    def text(limit: Limit, value: float | None, missing: str) -> str:
-        return missing if value is None else f"{limit.scale * value:.3g} {limit.unit}".rstrip()
-
     lines = [f"{'limit':24}{'wanted':>14}{'missed by':>12}{'of':>8}{'best':>14}   ({what})"]
     for row in rows:
-        limit = BY_NAME[row["limit"]]
-        sign = "<= " if limit.at_most else ">= "
-        wanted = "none" if row["wanted"] is None else sign + text(limit, row["wanted"], "")
-        best = text(limit, row["best"], "without end")
-        lines.append(f"{limit.name:24}{wanted:>14}{row['missed']:12d}{row['looked_at']:8d}{best:>14}")
-    return lines
+        wanted, best = BY_NAME[row["limit"]].texts(row)
+        lines.append(f"{row['limit']:24}{wanted:>14}{row['missed']:12d}{row['looked_at']:8d}{best:>14}")
+    return [*lines, *binding(rows, what)]

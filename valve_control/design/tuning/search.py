@@ -3,33 +3,25 @@
 """Searches the gains of a law: CMA-ES (pycma) at a few limits of the chatter, which together make a front.
 
 Error and chatter of every set of gains that was tried are kept; those that no other one beats in both are the
-front. Each run of CMA-ES makes the error small under one limit of the chatter. It may end in one of several
-minima: a search begins at several places of the ranges, apart from each other, and twice goes on with the
-better half of these runs. From the best of them begins a run with a larger population, which small minima do
-not hold up. Where the budget is none for so many runs, as with the many gains of dcarc, there is one run
-alone. Later runs, for the other parts of the front, begin at the best set that is known for their limit.
-
-Whether the acceleration of the command is to have a part in its lead depends on the motions more than on the
-other gains: it takes away error where they are smooth, and adds chatter where acceleration jumps. So a run
-holds that share, and tries its best set with others now and then, when the other gains are no longer bad.
+front. docs/explanation/tuning.md says why the search begins at several places and tries the lead by the
+acceleration late.
 
 Margins come first: a set that misses them by far is not simulated, and what the others miss is a part of
-their cost, so that the search sees on both sides of a margin where it gets better; that part grows as long as
-the best sets of a run miss margins. Only those that keep all margins are results. One that would be the best
-so far, or is on the front, has to come to rest after steps, on valves that have used up half of the margins.
-Where such a set did not, those near the best are asked too for a while, so that a run sees where loops rest;
-where all rest, that would take a third of a search and show nothing. The overshoot of steps is a wish, like
-the chatter: beyond its limit it costs. It is measured where a set would be the best so far without that cost,
-so the more it costs the more sets are measured. If no set is a result, the nearest one is known. Every set
-that falls counts its reason. A search is repeatable by its seed, whatever the number of threads.
+their cost, which grows as long as the best sets of a run miss margins. Only those that keep all margins are
+results. One that would be the best so far, or is on the front, has to come to rest after steps, on valves
+that have used up half of the margins. Where such a set did not, those near the best are asked too for a
+while. The overshoot is a wish, like the chatter: beyond its limit it costs. It is measured where a set would
+be the best so far without that cost. If no set is a result, the nearest one is known. A search is repeatable
+by its seed, whatever the number of threads.
 """
 
 import math
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import cma
 import numpy as np
 import scipy.stats
 
@@ -39,7 +31,6 @@ from valve_control.control.laws.free import present
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.reshaping import LEAD_ACCEL
 from valve_control.control.linear import margins
-from valve_control.design import evolution
 from valve_control.design.tuning import designs, limits, trial
 from valve_control.design.tuning.trial import AHEAD, GainSet, Problem, Threads
 from valve_control.parameter import ParameterError, Values
@@ -133,6 +124,25 @@ def overshoot_cost(overshot: float | None, most: float) -> float:
     return math.log(WORTH) * beyond / (beyond + HALF)
 
 
+def strategy(start: Floats, step: float, seed: int, population: int) -> Any:
+    """A CMAEvolutionStrategy, quiet, that begins at ``start`` with the standard deviation ``step``.
+
+    It stops when the costs of its generations agree to 1e-4. ``seed`` is that of numpy's global generator,
+    which pycma draws from: the same calls in the same order give the same points.
+    """
+    options = {
+        "seed": seed,
+        "popsize": population,
+        "verbose": -9,
+        "tolfun": 1e-4,
+        "tolfunhist": 1e-4,
+        "tolflatfitness": 20,
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return cma.CMAEvolutionStrategy(start, step, options)
+
+
 class _Search:
     """A search: sets of gains that were tried, and runs of CMA-ES that share a budget."""
 
@@ -141,7 +151,7 @@ class _Search:
     ) -> None:
         self.points: list[EvaluatedGains] = []
         self.tried = self.missed = 0
-        self.values: defaultdict[str, list[float]] = defaultdict(list)  # measured, by the name of the limit
+        self.values = defaultdict[str, list[float]](list)  # measured, by the name of the limit
         self.nearest: tuple[float, EvaluatedGains] | None = None  # to a result, and how far it is off
         self.box = margins.prepared(problem.box)
         self.free = trial.free_numbers(law, problem.values, problem.preview, problem.scale)
@@ -149,10 +159,8 @@ class _Search:
         self.budget, self._seed, self._progress = budget, seed, progress
         self._law, self._problem, self._threads = law, problem, threads
         self._most = problem.limits.overshoot
-        self._rested: dict[tuple[float, ...], float] = {}  # share of the valves on which a set does not rest
-        self._overshot: dict[tuple[float, ...], float] = {}
+        self._measured = defaultdict[str, dict[tuple[float, ...], float]](dict)  # by limit, then by shares
         self._alert_until = 0  # number of the set of gains up to which those near the best are asked too
-        self._least: dict[float, tuple[int, float]] = {}  # by limit: points looked at, and their least cost
 
     def judged(
         self, several: Sequence[Floats], chatter: float, wall: float = WALL
@@ -187,13 +195,14 @@ class _Search:
             self.values["chatter"].append(point.chatter)
             if missing[i] > 0.0 or not math.isfinite(point.error):
                 self._near(MISSED + missing[i], point)
-        most = self._least_cost(chatter) + (CLOSE if self.tried < self._alert_until else 0.0)
+        most = min((self._cost(p, chatter) for p in self._comparable()), default=math.inf)
+        most += CLOSE if self.tried < self._alert_until else 0.0
 
         def able() -> list[int]:
             return [i for i in points if costs[i] < NOT_RUN and costs[i] <= most]
 
         if math.isfinite(self._most):
-            for i, point in zip(able(), self._measured([points[i] for i in able()]), strict=True):
+            for i, point in zip(able(), self._with_overshoot([points[i] for i in able()]), strict=True):
                 points[i] = point
                 costs[i] += overshoot_cost(point.overshoot, self._most)
         points = {i: point for i, point in points.items() if missing[i] == 0.0}
@@ -220,12 +229,11 @@ class _Search:
             return None
         for name, value in limits.worst(limits.of_margins(measured)).items():
             self.values[name].append(value)
-        return trial.violation(self._problem.limits, measured, 1.0 / BACK_OFF)
+        return limits.violation(self._problem.limits, measured, 1.0 / BACK_OFF)
 
-    def _best(self, chatter: float) -> EvaluatedGains | None:
-        """The point of least cost under a limit of the chatter. None if there is none."""
-        known = [p for p in self.points if p.overshoot is not None or math.isinf(self._most)]
-        return min(known or self.points, key=lambda p: self._cost(p, chatter), default=None)
+    def _comparable(self) -> list[EvaluatedGains]:
+        """The points whose whole cost is known."""
+        return [p for p in self.points if p.overshoot is not None or math.isinf(self._most)]
 
     def front_at_rest(self) -> None:
         """Drop the points of the front on which a loop does not come to rest, until there are none.
@@ -244,12 +252,12 @@ class _Search:
                 able = sorted(
                     known, key=lambda p: math.log(p.error) + overshoot_cost(p.overshoot, self._most)
                 )[:1]
-            untried = [p for p in able if p.shares not in self._rested]
+            untried = [p for p in able if p.shares not in self._measured["pause"]]
             if not untried:
                 return
             layers += 1
             if math.isfinite(self._most):
-                measured = {p.shares: p for p in self._measured(untried)}
+                measured = {p.shares: p for p in self._with_overshoot(untried)}
                 self.points = [measured.get(p.shares, p) for p in self.points]
                 untried = [p for p in measured.values() if p.within(most)]
             restless = set()
@@ -258,51 +266,36 @@ class _Search:
                     restless.add(point.shares)
                     self._near(share, point)
             self.points = [point for point in self.points if point.shares not in restless]
-            self._least.clear()
 
-    def _measured(self, points: Sequence[EvaluatedGains]) -> list[EvaluatedGains]:
-        """``points`` with their overshoot."""
-        new = [p for p in points if p.shares not in self._overshot]
-        for point, overshot in zip(new, self._values("overshoot", new), strict=True):
-            self._overshot[point.shares] = overshot
-        return [p._replace(overshoot=self._overshot[p.shares]) for p in points]
+    def _with_overshoot(self, points: Sequence[EvaluatedGains]) -> list[EvaluatedGains]:
+        overshot = zip(points, self._values("overshoot", points), strict=True)
+        return [point._replace(overshoot=value) for point, value in overshot]
 
     def _restless(self, points: Sequence[EvaluatedGains]) -> list[float]:
         """Share of the harder valves on which the loops of ``points`` do not come to rest.
 
         1.0 where the reference does not come back after a pause of the command.
         """
-        for name in ("pause", "not at rest"):
-            new = [p for p in points if p.shares not in self._rested]
-            for point, value in zip(new, self._values(name, new), strict=True):
-                share = value if name == "not at rest" else float(math.isfinite(value))
-                self.missed += share > 0.0
-                if share > 0.0 or name == "not at rest":
-                    self._rested[point.shares] = share
-        return [self._rested[point.shares] for point in points]
+        borne = [math.isinf(value) for value in self._values("pause", points)]
+        rest = iter(self._values("not at rest", [p for p, good in zip(points, borne, strict=True) if good]))
+        return [next(rest) if good else 1.0 for good in borne]
 
     def _values(self, name: str, points: Sequence[EvaluatedGains]) -> list[float]:
-        """Measured and counted values of ``points`` for the limit of this ``name``."""
-        measure = limits.BY_NAME[name].measure
-        assert measure is not None
-        gains = [point.gains for point in points]
-        values = measure(self._law, self._problem, gains, self._threads) if gains else []
+        """Values of ``points`` for the limit of this ``name``; new ones are measured and counted."""
+        limit, known = limits.BY_NAME[name], self._measured[name]
+        assert limit.measure is not None
+        new = [p for p in points if p.shares not in known]
+        values = limit.measure(self._law, self._problem, [p.gains for p in new], self._threads) if new else []
         self.values[name] += values
-        return values
+        known.update(zip([p.shares for p in new], values, strict=True))
+        if limit.rank is limits.KEPT:
+            self.missed += sum(limit.missed(value, limit.asked(self._problem.limits)) for value in values)
+        return [known[p.shares] for p in points]
 
     def _near(self, away: float, point: EvaluatedGains) -> None:
         """Keep the ``point``, ``away`` from a result, if none is nearer."""
         if self.nearest is None or away < self.nearest[0]:
             self.nearest = away, point
-
-    def _least_cost(self, chatter: float) -> float:
-        """The least cost of all points under a limit of the chatter; only new ones are looked at."""
-        seen, least = self._least.get(chatter, (0, math.inf))
-        for point in self.points[seen:]:
-            if point.overshoot is not None or math.isinf(self._most):
-                least = min(least, self._cost(point, chatter))
-        self._least[chatter] = len(self.points), least
-        return least
 
     def _cost(self, point: EvaluatedGains, chatter: float) -> float:
         own = cost(point, chatter, self._problem.limits.saturated)
@@ -318,7 +311,8 @@ class _Search:
             end, restart = min(self.budget, round(until)), 0
             while self.tried < end:
                 self.front_at_rest()
-                best = self._best(phase.chatter)
+                known = self._comparable() or self.points
+                best = min(known, key=lambda p: self._cost(p, phase.chatter), default=None)
                 place = winner.best if best is None else np.array(best.shares)
                 again = _Run(self, place, LATER_STEP, self._seed + 100 * number + restart)
                 again.go(phase.chatter, end)
@@ -360,7 +354,7 @@ class _Run:
     ) -> None:
         self._search, self._held = search, search.held
         moved = start if self._held is None else np.delete(start, self._held)
-        self._strategy = evolution.strategy(moved, step, seed, population)
+        self._strategy = strategy(moved, step, seed, population)
         self.best, self.least = start, math.inf
         self._level = 0.0 if self._held is None else float(start[self._held])
         self._wall, self._since = WALL, EVERY // 2

@@ -13,7 +13,6 @@ from valve_control.arrays import Floats
 from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.free import Free, placed
 from valve_control.control.laws.law import Law
-from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant.models import D3FXE, Scale
 from valve_control.control.simulation import batch, delivery
@@ -228,32 +227,10 @@ def run(law: Law, problem: Problem, several: Sequence[GainSet], threads: Threads
 
     Valve i has noise seed ``problem.seed`` + i, and another one on each motion.
     """
-    loops, found = Loops(law, problem, several, problem.plants, problem.seed), []
+    loops, rows = Loops(law, problem, several, problem.plants, problem.seed), []
     for i, motion in enumerate(problem.motions):
         led = loops.commands(motion.wanted)
         result = loops.run(motion.wanted, led, threads, later=SEEDS_OF_A_MOTION * i)
-        rows = (result.true_e_rms, result.true_e_M, result.c_u, result.saturated)
-        found.append([row.reshape(len(several), -1) for row in rows])
-    by_gains = zip(*(zip(*rows, strict=True) for rows in found), strict=True)
-    return [TrialResult(*map(np.array, zip(*motions, strict=True))) for motions in by_gains]
-
-
-def violation(limits: TuningLimits, found: margins.Margins, share: float = 1.0) -> float:
-    """By how much the worst valve misses the ``limits``, times ``share`` the margins; 0.0: they hold.
-
-    Sum of what is missing of each as a part of it; an unstable loop misses more than any stable one.
-    """
-    unstable = float(np.max(found.radius)) - 1.0
-    if unstable >= margins.EDGE:
-        return 10.0 + 100.0 * unstable
-    missing = 0.0
-    for name in ("gain_db", "phase_deg", "delay_s"):
-        wanted = getattr(limits, name) * share
-        if wanted > 0.0:
-            missing += max(0.0, 1.0 - float(np.min(getattr(found, name))) / wanted)
-            if name == "gain_db":
-                missing += max(0.0, 1.0 - float(np.min(found.reduction_db)) / wanted)
-    most = limits.sensitivity_db / share
-    missing += max(0.0, float(np.max(found.sensitivity_db)) / most - 1.0)
-    swing = float(np.max(found.swing_v)) / (limits.swing / share)
-    return missing + (math.log(swing) if swing > 1.0 else 0.0)
+        rows.append([result.true_e_rms, result.true_e_M, result.c_u, result.saturated])
+    by_gains = np.array(rows).reshape(len(rows), 4, len(several), -1).transpose(2, 1, 0, 3).copy()
+    return [TrialResult(*one) for one in by_gains]

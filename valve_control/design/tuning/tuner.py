@@ -4,6 +4,7 @@
 
 import functools
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -12,7 +13,7 @@ from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.design.tuning import limits, overshoot, search, verification
+from valve_control.design.tuning import checks, limits, search, verification
 from valve_control.design.tuning.search import EvaluatedGains, Told
 from valve_control.design.tuning.trial import GainSet, Problem, Threads
 from valve_control.design.tuning.verification import Verified
@@ -106,7 +107,7 @@ def tuned(
     """
     points: list[EvaluatedGains] = []
     nearest: list[EvaluatedGains] = []
-    measured: dict[str, list[float]] = {}
+    measured = defaultdict[str, list[float]](list)
     tried = missed = 0
     for variant in variants(law, problem.values):
         there = problem._replace(values=updated(CONTROLLER, problem.values, variant))
@@ -115,13 +116,10 @@ def tuned(
             lambda done, before=tried: told(before + done),  # type: ignore[misc]
             threads, known,
         )  # fmt: skip
-
-        def of_variant(point: EvaluatedGains, variant: Mapping[str, Value] = variant) -> EvaluatedGains:
-            return point._replace(gains=point.gains._replace(changes={**variant, **point.gains.changes}))
-
-        points += map(of_variant, one.points)
-        nearest += map(of_variant, [] if one.nearest is None else [one.nearest])
-        measured = {limit: measured.get(limit, []) + one.values.get(limit, []) for limit in limits.BY_NAME}
+        points += _of_variant(variant, one.points)
+        nearest += _of_variant(variant, [one.nearest] if one.nearest else [])
+        for name, values in one.values.items():
+            measured[name] += values
         tried, missed = tried + one.tried, missed + one.missed
     if not points and not nearest:
         raise ParameterError(f"{law.name} cannot be built with any of {tried} sets of gains")
@@ -160,7 +158,6 @@ def tuned(
         ):
             break
     assert chosen is not None, "the last of the wishes fits a point"
-    rows = limits.as_rows(measured, limits.asked(problem.limits, chatter))
     if kept != chatter:
         notes.append(
             f"no set within c_u {chatter:g}: the least is {least:.3g}; those up to {kept:.3g} are taken"
@@ -170,8 +167,16 @@ def tuned(
     notes += chosen.verified.notes
     if math.isinf(chosen.verified.settling):
         share, band = 100.0 * chosen.verified.unsettled_share, 100.0 * steps.BAND
-        notes.append(f"{share:.2g} % of the steps are not settled to {band:g} % within {overshoot.HELD:g} s")
+        notes.append(f"{share:.2g} % of the steps are not settled to {band:g} % within {checks.HELD:g} s")
+    rows = limits.as_rows(measured, limits.asked(problem.limits, chatter))
+    if chosen.verified.reasons:
+        notes += limits.binding(rows, "sets of gains")
     return Tuned(law.name, front, chosen, tried, missed, kept, notes, rows)
+
+
+def _of_variant(variant: Mapping[str, Value], points: Sequence[EvaluatedGains]) -> list[EvaluatedGains]:
+    changes = [{**variant, **point.gains.changes} for point in points]
+    return [p._replace(gains=p.gains._replace(changes=own)) for p, own in zip(points, changes, strict=True)]
 
 
 def _order(judged: Verified) -> tuple[bool, int]:
@@ -245,8 +250,8 @@ def as_dict(result: Tuned) -> dict[str, Any]:
         "chosen": {**chosen.changes, **ahead},
         "front": [
             {
-                "error": point.error if math.isfinite(point.error) else None,
-                "chatter": point.chatter if math.isfinite(point.chatter) else None,
+                "error": point.error,
+                "chatter": point.chatter,
                 "overshoot": point.overshoot,
                 "parameters": point.gains.changes,
             }

@@ -16,7 +16,7 @@ from valve_control.control.linear import margins, stability
 from valve_control.control.parameters import build
 from valve_control.control.simulation import robustness
 from valve_control.control.simulation.robustness import Study, StudyResult
-from valve_control.design.tuning import limit_cycles, limits, overshoot, trial
+from valve_control.design.tuning import checks, limits, trial
 from valve_control.design.tuning.trial import GainSet, Problem, Threads, TrialResult, TuningMotion
 from valve_control.parameter import word
 
@@ -69,7 +69,7 @@ def verified(
     seen = trial.run(law, problem, [gains], threads)[0]
     others = problem._replace(motions=other_motions(problem.motions), seed=problem.seed + 500_000)
     unseen = trial.run(law, others, [gains], threads)[0]
-    restless = limit_cycles.after_all(law, others, gains, problem.plants, threads)
+    restless = checks.after_all(law, others, gains, problem.plants, threads)
     reasons, notes = limits.margins_missed(problem.limits, found), list[str]()
 
     def missed(name: str, sentence: str) -> None:
@@ -84,7 +84,7 @@ def verified(
     if len(restless):
         missed(
             "not at rest",
-            f"{len(restless)} of {len(problem.plants)} valves do not rest within {limit_cycles.HELD:g} s "
+            f"{len(restless)} of {len(problem.plants)} valves do not rest within {checks.HELD:g} s "
             "after a step or a motion",
         )
     for name in ("not at rest", "pause"):
@@ -93,8 +93,8 @@ def verified(
         check("saturation", float(np.mean(outcome.saturated)), before=f"on {motions} ")
     if chatter is not None:
         check("chatter", seen.chatter, SLACK)
-    (answers,) = overshoot.answers(law, problem, [gains], threads)
-    overshot, settling = (overshoot.typical(rows) for rows in answers)
+    (answers,) = checks.answers(law, problem, [gains], threads)
+    overshot, settling = (checks.typical(rows) for rows in answers)
     check("overshoot", overshot)
     return Verified(
         seen=seen,
@@ -130,35 +130,29 @@ def of_study(study: Study, result: StudyResult, threads: Threads) -> list[dict[s
             box = margins.prepared([stability.behind_curve(values, plant)[0] for plant in plants])
             for name, each in limits.of_margins(margins.margins(law, law.build(values), box)).items():
                 measured[name] += each
-        restless = limit_cycles.after_all(law, problem, gains, plants, threads)
+        restless = checks.after_all(law, problem, gains, plants, threads)
         measured["saturation"] += result.results.saturated[own].tolist()
         measured["not at rest"] += np.isin(np.arange(len(plants)), restless).astype(float).tolist()
-        measured["overshoot"] += np.max(
-            overshoot.answers(law, problem, [gains], threads)[0][0], axis=0
-        ).tolist()
+        (answers,) = checks.answers(law, problem, [gains], threads)
+        measured["overshoot"] += np.max(answers[0], axis=0).tolist()
     return limits.as_rows(measured, limits.asked(asked))
 
 
 def as_dict(v: Verified) -> dict[str, Any]:
     """For JSON: errors [V], geometric mean of the motions at median and 95th percentile of the valves."""
 
-    def percentiles(errors: Floats) -> dict[str, float | None]:
-        if not np.all(np.isfinite(errors)):
-            return {"median": None, "p95": None}
+    def percentiles(errors: Floats) -> dict[str, float]:
         middle, tail = np.exp(np.mean(np.log(np.percentile(errors, [50, trial.TAIL], axis=1)), axis=1))
         return {"median": float(middle), "p95": float(tail)}
 
     return {
         "e_rms": percentiles(v.seen.e_rms),
         "e_max": percentiles(v.seen.e_max),
-        "c_u": v.seen.chatter if np.isfinite(v.seen.chatter) else None,
+        "c_u": v.seen.chatter,
         "saturated": float(np.mean(v.seen.saturated)),
-        "unseen_commands": {
-            "e_rms": percentiles(v.unseen.e_rms),
-            "c_u": v.unseen.chatter if np.isfinite(v.unseen.chatter) else None,
-        },
+        "unseen_commands": {"e_rms": percentiles(v.unseen.e_rms), "c_u": v.unseen.chatter},
         "valves": v.seen.e_rms.shape[1],
-        "overshoot": v.overshoot if np.isfinite(v.overshoot) else None,
-        "settling_s": v.settling if np.isfinite(v.settling) else None,
+        "overshoot": v.overshoot,
+        "settling_s": v.settling,
         "restless": len(v.restless),
     }

@@ -1,7 +1,14 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Measures rest position, noise, static gain, friction and dead zone in a rest and a slow triangle."""
+"""Evaluates the tests: rest, noise, static gain, friction, dead zone, and response without friction.
 
+Coulomb friction F answers a sine of the position Y with a square wave against its velocity, whose first
+harmonic is 4F/π. So the valve itself was driven by U - (4F/π)·j·Y/|Y| instead of U, as long as it slides
+(describing function, e.g. A. Gelb, W. E. Vander Velde, Multiple-Input Describing Functions, 1968).
+"""
+
+import math
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -9,8 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.arrays import Floats
-from valve_control.design.commissioning.bench import Record
-from valve_control.design.identification import lvdt
+from valve_control.control.commands import scenarios
+from valve_control.design.commissioning.bench import Record, SafetyLimits
+from valve_control.design.commissioning.courses import REACH
+from valve_control.design.identification import lvdt, rational, response
+from valve_control.design.identification.rational import Fit
+from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
 
 WINDOW = 0.02  # s  over which readings are averaged
@@ -20,6 +31,18 @@ DEVIATIONS = 5.0  # ... and times the noise of the averaged reading
 LEAST_STROKE = 0.1  # V
 ROUNDING = 1e-9  # V  of a mean voltage
 HELD = 3.0  # times as large as in motion: the most that friction at rest is believed to be
+FIRST, LAST, STEPS = 0.8, 100.0, 20  # Hz, Hz, -
+HIGHEST = 0.2  # of the sampling frequency
+CYCLES, STEP_TIME = 3, 0.8  # -, s  least length of a step
+SETTLE = 0.25  # s  of each, left out
+FILLED = 0.9  # of the travel at which a course turns round, that the lowest frequency may take
+SLIDES = 1.4  # times the friction, which a sine needs at least
+DRIVEN = 0.25  # of a sine's amplitude, that must be left for the valve itself
+UNSURE = 0.05  # relative uncertainty of the friction
+ROUNDS = 3  # of friction and lag
+# Orders beside the second, and their zeros: a lag of solenoid or amplifier has none.
+HIGHER = ((3, 0), (4, 2))
+RICHER = ((3, 1), (4, 1))  # that are tried where none of these explains the readings
 
 
 class Rest(NamedTuple):
@@ -112,13 +135,112 @@ class Friction(NamedTuple):
     static_ratio: float  # -  at rest, over that
 
 
-def friction(static: Static, lag: float, rest: Rest) -> Friction:
+def friction_proper(static: Static, lag: float, rest: Rest) -> Friction:
     """Friction proper, without what a valve with the ``lag`` [s] needs to move at the triangle's rate."""
     coulomb = max(0.0, static.friction - static.rate * lag)
     if coulomb < max(rest.noise, rest.resolution):
         return Friction(0.0, 1.0)
     held = static.dead_zone - coulomb - static.rate * lag
     return Friction(coulomb, min(HELD, max(1.0, held / coulomb)))
+
+
+class SinePlan(NamedTuple):
+    """The stepped sine."""
+
+    steps: tuple[scenarios.Step, ...]
+    amplitude: float  # V
+    offset: float  # V
+
+
+def plan(limits: SafetyLimits, static: Static, period: float) -> SinePlan:
+    """The largest sine within the limits: friction bends the response of a small one.
+
+    Raises ParameterError.
+    """
+    offset = max(-0.5 * limits.voltage, min(0.5 * limits.voltage, static.offset))
+    by_travel = FILLED * REACH * limits.travel / static.gain + static.friction
+    amplitude = min(limits.voltage - abs(offset), by_travel)
+    if amplitude < SLIDES * static.friction:
+        raise ParameterError(
+            f"friction is {static.friction:.3g} V; a sine that moves the spool needs "
+            f"{SLIDES * static.friction:.3g} V at least, and within the limits there are {amplitude:.3g} V"
+        )
+    last = min(LAST, HIGHEST / period)
+    return SinePlan(scenarios.sine_steps(FIRST, last, STEPS, CYCLES, STEP_TIME), amplitude, offset)
+
+
+def measured(record: Record, planned: SinePlan, friction: float) -> Response:
+    """Response of the valve itself in a ``record`` of the sine, without ``friction`` [V].
+
+    Raises ParameterError if nothing can be used.
+    """
+    steps = response.segments_of(planned.steps, record.period)
+    segments = [segment for segment in steps if segment.end <= len(record.reading)]
+    if not segments:
+        raise ParameterError("the stepped sine ended before its first frequency was over")
+    whole = response.stepped(record.voltage, record.reading, segments, record.period, SETTLE)
+    amplitudes = []
+    for frequency in whole.frequency:
+        segment = min(segments, key=lambda s: abs(s.frequency - frequency))
+        settled = segment.first + round(SETTLE / record.period)
+        amplitudes.append(math.sqrt(2.0) * float(np.std(record.voltage[settled : segment.end])))
+    return _without(whole, np.array(amplitudes), friction)
+
+
+def linear(
+    sine: Record, planned: SinePlan, static: Static, rest: Rest, tell: Callable[[], None] = lambda: None
+) -> tuple[Response, list[Fit], Friction]:
+    """Response without friction, its fits, and friction without the valve's own lag.
+
+    ``tell`` is called before each fit. Raises ParameterError.
+    """
+    friction = Friction(static.friction, 1.0)
+    for _ in range(ROUNDS):
+        tell()
+        response = measured(sine, planned, friction.coulomb)
+        second = rational.fit(response, 2)
+        lag = second.model.denominator[1] / second.model.denominator[2] + second.delay
+        friction = friction_proper(static, lag, rest)
+    fits, notes = higher(response, HIGHER, tell)
+    return response._replace(notes=(*response.notes, *notes)), [second, *fits], friction
+
+
+def higher(
+    measured: Response, forms: Sequence[tuple[int, int]], tell: Callable[[], None] = lambda: None
+) -> tuple[list[Fit], list[str]]:
+    """Fits of the ``forms`` (order, zeros) that the ``measured`` response allows, and why not the others."""
+    fits, notes = list[Fit](), list[str]()
+    for order, zeros in forms:
+        tell()
+        try:
+            fits.append(rational.fit(measured, order, zeros))
+        except ParameterError as error:
+            notes.append(f"no model of order {order}: {error}")
+    return fits, notes
+
+
+def _without(whole: Response, amplitude: Floats, friction: float) -> Response:
+    """The ``whole`` response without ``friction`` [V]; ``amplitude`` [V], n: of each frequency's sine."""
+    level = 4.0 * friction / math.pi
+    direction = whole.value / np.abs(whole.value)
+    left = amplitude - 1j * level * direction
+    usable = np.abs(left) > DRIVEN * amplitude
+    notes = list(whole.notes)
+    if not np.any(usable):
+        raise ParameterError(
+            f"friction of {friction:.3g} V takes up the sine; give a higher limit of the voltage"
+        )
+    if not np.all(usable):
+        notes.append(
+            f"{int(np.count_nonzero(~usable))} frequencies are left out: friction takes up their sine"
+        )
+    value = whole.value * amplitude / left
+    size = np.abs(value)
+    unsure = UNSURE * level / np.abs(left) * size
+    deviation = np.hypot(whole.deviation * size / np.abs(whole.value), unsure)
+    frequency, coherence = whole.frequency[usable], whole.coherence[usable]
+    whole = whole._replace(frequency=frequency, coherence=coherence, notes=tuple(notes))
+    return whole._replace(value=value[usable], deviation=deviation[usable])
 
 
 def _turns(voltage: Floats) -> npt.NDArray[np.int64]:
