@@ -47,9 +47,8 @@ class CommandSource(Worker):
         self._pacing: NumberSubscription | None = None  # what each command follows
         self._topic = ""  # of it
         self._shaped_by: list[Any] = []
-        self._commands: list[float] = []
         self._motion: Callable[[float], Any] = float  # V  at the time [s] at which a late timer sends it
-        self._rates, self._accels = list[float](), list[float]()
+        self._commands = self._rates = self._accels = np.empty(0)
         self._message = ""
         self._publisher: Any = None
         self._fault, self._fault_left = "none", 0
@@ -70,7 +69,7 @@ class CommandSource(Worker):
                 f"every is {values['every']}; in lockstep there is a command for each reading"
             )
         same = [values[name] for name in SHAPING] == self._shaped_by
-        return self._commands if same else build.commands(values).tolist()
+        return self._commands if same else build.commands(values)
 
     def _apply(self, values: Values, commands: Any) -> None:
         fault = word(values, "fault.command")
@@ -98,8 +97,7 @@ class CommandSource(Worker):
                 self.destroy_publisher(self._publisher)
             self._message, self._publisher = message, self._another(message)
         self._commands = commands
-        rates, accels = build.derivatives(np.array(commands), number(values, "sample_period"))
-        self._rates, self._accels = rates.tolist(), accels.tolist()
+        self._rates, self._accels = build.derivatives(commands, number(values, "sample_period"))
         self._every = int(number(values, "every"))
         self._turn = -1
         self._listeners = int(number(values, "listeners"))
