@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "1.0.0"
 __all__ = [
+    "BagError",
     "ParameterError",
     "analyze",
     "compare",
@@ -20,6 +21,7 @@ __all__ = [
 if TYPE_CHECKING:
     from valve_control.api import analyze, compare, identify, load, margins, replay, simulate, tune
     from valve_control.parameter import ParameterError
+    from valve_control.recordings.bags.errors import BagError
 
 
 def __getattr__(name: str) -> Any:
@@ -29,3 +31,7 @@ def __getattr__(name: str) -> Any:
     from valve_control import api
 
     return getattr(api, name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

@@ -3,19 +3,22 @@
 """The tasks as Python functions, for notebooks and scripts, with the names and defaults of the command line.
 
 Each option of ``valve-control TASK --help`` is a keyword, with underscores for dashes: a switch is True, an
-option that may stand several times takes a list, one of NAME=VALUE a dict. A motion may be an array [V].
-Progress, notes and warnings go to standard error. Bad input raises ParameterError, a bag that cannot be read
-BagError, with one sentence.
+option that may stand several times takes a list, one of NAME=VALUE a dict. A motion may be an array [V],
+parameters may be a dict by node. Progress, notes and warnings go to standard error. Bad input raises
+ParameterError, a bag that cannot be read BagError, with one sentence.
 """
 
 import argparse
 import contextlib
 import csv
 import html
+import inspect
 import io
 import json
 import os
+import sys
 import tempfile
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,8 +30,14 @@ from valve_control import outputs
 from valve_control.arrays import Floats
 from valve_control.cli.command import parser
 from valve_control.control.parameters import files
-from valve_control.control.parameters.ros_file import as_text
+from valve_control.control.parameters.ros_file import as_text, as_yaml
 from valve_control.parameter import ParameterError, Values
+from valve_control.recordings.bags.errors import BagError
+
+__all__ = [
+    "BagError", "Figure", "ParameterError", "Parameters", "Result",
+    "analyze", "compare", "identify", "load", "margins", "replay", "simulate", "tune",
+]  # fmt: skip
 
 ENDINGS = {"json": "json", "npz": "npz", "csv": "csv", "html": "html", "output": "yaml", "figure": "svg"}
 DRAWN = ("simulate", "compare", "identify")
@@ -40,13 +49,14 @@ class Parameters(NamedTuple):
 
     text: str
     values: dict[str, Values]  # checked, by node: values["controller"]["arc.k1"]
+    name: str = "parameters.yaml"  # for messages and titles
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file to ``path``, whole or not at all. Raises OSError."""
         outputs.write(os.fspath(path), self.text)
 
 
-Source = Parameters | str | os.PathLike[str]
+Source = Parameters | Mapping[str, Values] | str | os.PathLike[str]
 
 
 class Figure(str):
@@ -54,6 +64,10 @@ class Figure(str):
 
     def __repr__(self) -> str:
         return f"SVG of {len(self) / 1000.0:.0f} kB"
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the SVG file ``path``, whole or not at all. Raises OSError."""
+        outputs.write(os.fspath(path), self)
 
     def _repr_svg_(self) -> str:
         return str(self)
@@ -117,9 +131,13 @@ class Call(NamedTuple):
         with tempfile.TemporaryDirectory() as folder:
             files = {name: f"{folder}/{name}.{ENDINGS[name]}" for name in wanted}
             line = [self.task, *map(str, self.words), *self._options(Path(folder))]
-            arguments = _parsed([*line, *(f"--{name}={file}" for name, file in files.items())], line)
-            with contextlib.redirect_stdout(io.StringIO()) as text:
-                status = int(arguments.run(arguments) or 0)
+            text, errors = io.StringIO(), _Without(f"{folder}/")
+            with contextlib.redirect_stdout(text), contextlib.redirect_stderr(errors):
+                try:
+                    arguments = _parsed([*line, *(f"--{name}={file}" for name, file in files.items())], line)
+                    status = int(arguments.run(arguments) or 0)
+                except (ParameterError, BagError) as error:
+                    raise type(error)(str(error).replace(f"{folder}/", "")) from error
             lines = [row for row in text.getvalue().splitlines() if not row.startswith(f"wrote {folder}")]
             contents = {name: dict(_contents(Path(file))) for name, file in files.items()}
         return status, "\n".join(lines), contents
@@ -143,26 +161,50 @@ class Call(NamedTuple):
             option = WORDS.get(name, "--" + name.replace("_", "-"))
             if isinstance(value, Mapping):
                 value = [f"{k}={v if isinstance(v, str) else as_text(v)}" for k, v in value.items()]
-            if isinstance(value, tuple):
+            if isinstance(value, tuple) and name == "band":
                 words += [option, *map(str, value)]
             elif value is True:
                 words.append(option)
             elif value is not None and value is not False:
-                several = value if isinstance(value, list) else [value]
-                words += [f"{option}={_word(one, folder)}" for one in several]
+                several = value if isinstance(value, list) and not _is_motion(value) else [value]
+                words += [f"{option}={_word(one, folder, f'{name}_{i}')}" for i, one in enumerate(several)]
         return words
 
 
-def _word(value: Any, folder: Path) -> str:
-    """``value`` of an option; an array or parameters as the name of a file in ``folder``."""
-    path = folder / f"{len(list(folder.iterdir()))}"
-    if isinstance(value, np.ndarray):
-        np.save(path.with_suffix(".npy"), value, allow_pickle=False)
-        return str(path.with_suffix(".npy"))
+class _Without(io.TextIOBase):
+    """Standard error without the name of a folder."""
+
+    def __init__(self, folder: str) -> None:
+        self._folder, self._stream = folder, sys.stderr
+
+    def write(self, text: str) -> int:
+        """Write ``text``."""
+        return self._stream.write(text.replace(self._folder, ""))
+
+
+def _is_motion(value: Any) -> bool:
+    return (
+        isinstance(value, (list, np.ndarray))
+        and len(value) > 0
+        and np.isscalar(value[0])
+        and not isinstance(value[0], str)
+    )
+
+
+def _word(value: Any, folder: Path, name: str) -> str:
+    """``value`` of an option; a motion or parameters as the name of a file in ``folder``."""
+    if _is_motion(value):
+        np.save(folder / f"{name}.npy", np.asarray(value, dtype=float), allow_pickle=False)
+        return str(folder / f"{name}.npy")
+    if isinstance(value, Mapping):
+        value = Parameters(as_yaml({f"/**/{node}": values for node, values in value.items()}), {})
     if isinstance(value, Parameters):
-        value.save(path.with_suffix(".yaml"))
-        return str(path.with_suffix(".yaml"))
-    return str(value)
+        path = folder / value.name
+        while path.exists():
+            path = path.with_stem(f"{path.stem}_")
+        value.save(path)
+        return str(path)
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def _parsed(words: Sequence[str], line: Sequence[str]) -> argparse.Namespace:
@@ -182,7 +224,7 @@ def _contents(file: Path) -> Iterator[tuple[str, Any]]:
             with np.load(path, allow_pickle=False) as arrays:
                 yield end, dict(arrays)
         elif kind == ".yaml":
-            yield end, load(path)
+            yield end, load(path)._replace(name=f"gains{end}.yaml")
         else:
             text = path.read_text(encoding="utf-8")
             yield end, json.loads(text) if kind == ".json" else _columns(text) if kind == ".csv" else text
@@ -197,7 +239,7 @@ def _columns(text: str) -> dict[str, Floats]:
 def load(path: str | os.PathLike[str]) -> Parameters:
     """The ROS 2 parameter file ``path``, checked. Raises ParameterError."""
     values = files.load(os.fspath(path))
-    return Parameters(Path(path).read_text(encoding="utf-8"), values)
+    return Parameters(Path(path).read_text(encoding="utf-8"), values, Path(path).name)
 
 
 def simulate(*parameters: Source, **options: Any) -> Result:
@@ -236,3 +278,18 @@ def analyze(bag: str | os.PathLike[str], **options: Any) -> Result:
 def replay(bag: str | os.PathLike[str], *parameters: Source, **options: Any) -> Result:
     """Replay a ``bag`` in shadow or as what-if; gives arrays and a page."""
     return Call("replay", (bag,), parameters, options).result("csv", "html")
+
+
+def _name_options() -> None:
+    """Add the names of its options to the docstring of each task, for help()."""
+    commands, hidden = parser(), {"task", "run", "bag", "bags", *ENDINGS}
+    for task, words in (
+        (simulate, []), (compare, []), (identify, []), (tune, []), (margins, []),
+        (analyze, ["-"]), (replay, ["-"]),
+    ):  # fmt: skip
+        names = vars(commands.parse_args([task.__name__, *words])).keys() - hidden
+        text = textwrap.fill(f"Options: {', '.join(sorted(names))}.", 100)
+        task.__doc__ = f"{inspect.cleandoc(task.__doc__ or '')}\n\n{text}"
+
+
+_name_options()
