@@ -43,7 +43,7 @@ VERIFIED_ON = 100
 TUNED_ON = {"narrow": 12, "wide": 32}
 SPREAD = (0.7, 1.4), (0.8, 1.25), (0.8, 1.25), (-0.5, 0.5), (0.0, 1e-3)  # of what margins depend on
 MARGINS = trial.USUAL
-NO_MARGINS = trial.TuningLimits(0.0, 0.0, 0.0, 200.0, math.inf, 1.0)
+NO_MARGINS = trial.TuningLimits(0.0, 0.0, 0.0, 200.0, math.inf, 1.0, 0.0)
 MOST_FRICTION = FREE._replace(coulomb=1.6, presliding=0.04)  # of the box
 
 

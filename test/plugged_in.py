@@ -57,7 +57,7 @@ def test_its_margins_are_told_and_its_gains_are_found():
         [motion],
         plants,
         plants,
-        trial.TuningLimits(3.0, 20.0, 0.0005, 10.0, 0.05, 0.02),
+        trial.TuningLimits(3.0, 20.0, 0.0005, 10.0, 0.05, 0.02, 0.0),
         False,
         1,
     )

@@ -93,7 +93,7 @@ def _axes(arguments: argparse.Namespace) -> None:
 def _draw_axes(path: Path, found: "Mapping[str, Sequence[Result]]") -> None:
     import numpy as np
 
-    from valve_control.control.analysis.figures import Line, Plot, draw_plots
+    from valve_control.control.analysis.figures import Line, Plot, draw_columns
 
     share = 100.0 * (np.arange(len(next(iter(found.values())))) + 1.0) / len(next(iter(found.values())))
     picks: dict[str, Callable[[Result], float]] = {
@@ -108,7 +108,7 @@ def _draw_axes(path: Path, found: "Mapping[str, Sequence[Result]]") -> None:
         )
         for title, pick in picks.items()
     ]
-    draw_plots([path], plots, "axes [%]", "what a fast valve buys")
+    draw_columns([path], {"": plots}, "axes [%]", "what a fast valve buys")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

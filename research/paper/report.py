@@ -14,7 +14,7 @@ from research.paper.runs import FEEDBACK
 from research.paper.traces import Trace
 from valve_control import outputs
 from valve_control.control.analysis import page
-from valve_control.control.analysis.figures import draw_plots
+from valve_control.control.analysis.figures import draw_columns
 from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices, indices
 
 NEAR = 0.05  # relative deviation that counts as reproduced
@@ -100,7 +100,7 @@ def write(
     sections = {"Table 1": page.table(["", *Indices._fields], rows_of(table)) + page.notes(verdicts(table))}
     for figure in figures:
         paths = [folder / f"{figure.name}.png", folder / f"{figure.name}.svg"]
-        draw_plots(paths, figure.plots, figure.x_title, figure.title, figure.logarithmic_x)
+        draw_columns(paths, {"": figure.plots}, figure.x_title, figure.title, figure.logarithmic_x)
         written += paths
         links = " ".join(f'<a href="{path.name}">{path.suffix[1:].upper()}</a>' for path in paths)
         sections[figure.title] = (

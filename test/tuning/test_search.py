@@ -24,7 +24,7 @@ from valve_control.parameter import defaults, updated
 
 FREE = [free for law in LAWS.values() for free in law.free]
 SETTINGS = {node: defaults(table) for node, table in NODES.items()}
-LIMITS = trial.TuningLimits(2.0, 15.0, 0.0003, 12.0, 0.05, 0.02)
+LIMITS = trial.TuningLimits(2.0, 15.0, 0.0003, 12.0, 0.05, 0.02, 0.0)
 NARROW = ("gain", "speed", "friction.coulomb")
 
 

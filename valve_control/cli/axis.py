@@ -109,27 +109,23 @@ def _notes(setup: "Setup", found: "Run") -> str:
 
 
 def _draw(path: Path, setup: "Setup", found: "Run") -> None:
-    from valve_control.control.analysis.figures import Line, Plot, draw_plots
+    from valve_control.control.analysis.figures import Line, Plot, draw_columns
 
     s, t = found.signals, found.time
-    draw_plots(
-        [path],
-        [
-            Plot("position [m]", [Line("goal", t, s["goal"], dashed=True), Line("axis", t, s["position"])]),
-            Plot("error [mm]", [Line("goal less position", t, 1e3 * (s["goal"] - s["position"]))]),
-            Plot(
-                "spool [V]",
-                [Line("command", t, s["spool_command"], dashed=True), Line("spool", t, s["spool"])],
-            ),
-            Plot(
-                "pressure [bar]",
-                [
-                    Line("a", t, 1e-5 * s["pressure_a"]),
-                    Line("b", t, 1e-5 * s["pressure_b"]),
-                    Line("supply", t, 1e-5 * s["pressure_supply"]),
-                ],
-            ),
-        ],
-        "time [s]",
-        f"axis under {setup.law}",
-    )
+    plots = [
+        Plot("position [m]", [Line("goal", t, s["goal"], dashed=True), Line("axis", t, s["position"])]),
+        Plot("error [mm]", [Line("goal less position", t, 1e3 * (s["goal"] - s["position"]))]),
+        Plot(
+            "spool [V]",
+            [Line("command", t, s["spool_command"], dashed=True), Line("spool", t, s["spool"])],
+        ),
+        Plot(
+            "pressure [bar]",
+            [
+                Line("a", t, 1e-5 * s["pressure_a"]),
+                Line("b", t, 1e-5 * s["pressure_b"]),
+                Line("supply", t, 1e-5 * s["pressure_supply"]),
+            ],
+        ),
+    ]
+    draw_columns([path], {"": plots}, "time [s]", f"axis under {setup.law}")

@@ -200,7 +200,7 @@ def _print(result: dict[str, Any]) -> None:
 def _draw(path: Path, found: "StudyResult", controller: str) -> None:
     import numpy as np
 
-    from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_plots
+    from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_columns
 
     plots = []
     for name in ("e_rms", "e_M", "e_F"):
@@ -210,9 +210,8 @@ def _draw(path: Path, found: "StudyResult", controller: str) -> None:
             share = 100.0 * (np.arange(len(values)) + 1.0) / max(1, len(values))
             lines.append(Line(f"{1e3 * period:g} ms", values, share, COLOURS[i % len(COLOURS)]))
         plots.append(Plot(f"{name}: valves [%]", lines))
-    draw_plots(
-        [path], plots, "at most [V]", f"{controller}: {len(found.period)} valves, by sample period", True
-    )
+    title = f"{controller}: {len(found.period)} valves, by sample period"
+    draw_columns([path], {"": plots}, "at most [V]", title, logarithmic_x=True)
 
 
 def _write_valve(arguments: argparse.Namespace, chosen: "Study") -> None:

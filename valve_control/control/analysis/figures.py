@@ -67,30 +67,29 @@ def _subplots(rows: int, columns: int, height: float) -> tuple[Any, Any]:
     return figure, axes
 
 
-def _detail(command: Floats, period: float) -> slice:
-    """Samples that show PIECES of ``command`` [V]: a few periods, or its last edge; all if it has no more."""
-    signs = np.sign(np.diff(command, prepend=command[:1]))
+def _detail(trace: Trace) -> slice | None:
+    """Samples of a few periods of the command, or of its last edge; None: they are most of the run."""
+    n, signs = len(trace.time), np.sign(np.diff(trace.command, prepend=trace.command[:1]))
     begins = np.flatnonzero(np.diff(signs, prepend=0.0))
-    moves = [(first, end) for first, end in pairwise([*begins, len(command)]) if signs[first] != 0.0]
-    if not moves:
-        return slice(0, len(command))
-    length = max(round(LEAST / period), PIECES * int(np.median([end - first for first, end in moves])))
-    firsts = [first - length // 10 for first, _ in moves]
-    fitting = [first for first in firsts if first >= 0 and first + length <= len(command)]
-    return slice(fitting[-1], fitting[-1] + length) if fitting else slice(0, len(command))
+    moves = [(first, end) for first, end in pairwise([*begins, n]) if signs[first] != 0.0]
+    usual = int(np.median([end - first for first, end in moves])) if moves else n
+    length = max(PIECES * usual, int(np.searchsorted(trace.time, LEAST)))
+    fitting = [at for first, _ in moves if 0 <= (at := first - length // 10) <= n - length]
+    return slice(fitting[-1], fitting[-1] + length) if fitting and length <= ZOOMED * n else None
 
 
 def _trace_plots(traces: Mapping[str, Trace], shown: slice) -> list[Plot]:
-    """Command and position, error, and voltage over time; a colour per run."""
+    """Command and position, error, and voltage over time, of what is ``shown``; a colour per run."""
     first = next(iter(traces.values()))
     stroke = float(np.ptp(first.command))
     top, middle, bottom = [Line("command", first.time[shown], first.command[shown], "black")], [], []
     for i, (label, trace) in enumerate(traces.items()):
         colour, time, error = COLOURS[i % len(COLOURS)], trace.time[shown], trace.position - trace.command
         rms = float(np.sqrt(np.nanmean(np.square(error))))
-        share = f" ({100.0 * rms / stroke:.2g} % of the stroke)" if stroke > 0.0 else ""
+        label += f": {1e3 * rms:.3g} mV rms"
+        label += f" ({100.0 * rms / stroke:.2g} % of the stroke)" if stroke > 0.0 else ""
         top.append(Line(label, time, trace.position[shown], colour))
-        middle.append(Line(f"{label}: {1e3 * rms:.3g} mV rms{share}", time, 1e3 * error[shown], colour))
+        middle.append(Line(label, time, 1e3 * error[shown], colour))
         bottom.append(Line(label, time, trace.voltage[shown], colour))
     return [Plot("spool position [V]", top), Plot("error [mV]", middle), Plot("voltage [V]", bottom)]
 
@@ -100,24 +99,10 @@ def draw_traces(path: Path, traces: Mapping[str, Trace], title: str) -> None:
 
     The runs have one command. Raises OSError if ``path`` cannot be written.
     """
-    first = next(iter(traces.values()))
-    shown = (
-        _detail(first.command, float(first.time[1] - first.time[0])) if len(first.time) > 1 else slice(0, 1)
-    )
     columns = {"whole run": _trace_plots(traces, slice(None))}
-    if shown.stop - shown.start <= ZOOMED * len(first.time):
-        columns["detail"] = _trace_plots(traces, shown)
+    if (detail := _detail(next(iter(traces.values())))) is not None:
+        columns["detail"] = _trace_plots(traces, detail)
     draw_columns([path], columns, "time [s]", title)
-
-
-def draw_plots(
-    paths: Sequence[Path], plots: Sequence[Plot], x_title: str, title: str, logarithmic_x: bool = False
-) -> None:
-    """Draw plots below each other with one horizontal axis, into each of ``paths`` (.png or .svg).
-
-    Raises OSError if a path cannot be written.
-    """
-    draw_columns(paths, {"": plots}, x_title, title, logarithmic_x=logarithmic_x)
 
 
 def draw_columns(

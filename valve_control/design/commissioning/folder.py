@@ -128,17 +128,14 @@ class Folder:
         try:
             with np.load(path) as content:
                 node, within = str(content["node"]), SafetyLimits(*map(float, content["limits"]))
-                names = {name.rpartition(".")[0] for name in content.files} - {""}
-                arrays = {
-                    name: {f: content[f"{name}.{f}"] for f in Record._fields if f"{name}.{f}" in content}
-                    for name in names
-                }
-                records = {
-                    name: Record(
-                        **{**one, "period": float(one["period"]), "begins": tuple(one["begins"].tolist())}
-                    )
-                    for name, one in arrays.items()
-                }
+                fields: dict[str, dict[str, Any]] = {}
+                for name in content.files:
+                    test, _, field = name.rpartition(".")
+                    fields.setdefault(test, {})[field] = content[name]
+                del fields[""]  # node and limits
+                for one in fields.values():
+                    one.update(period=float(one["period"]), begins=tuple(one["begins"].tolist()))
+                records = {test: Record(**one) for test, one in fields.items()}
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise ParameterError(f"{path} is damaged: {error}") from error
         periods = {record.period for record in records.values()}

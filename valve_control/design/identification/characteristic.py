@@ -18,7 +18,7 @@ import numpy as np
 import scipy.stats
 
 from valve_control.arrays import Floats
-from valve_control.control.analysis.figures import Line, Plot, draw_plots
+from valve_control.control.analysis.figures import Line, Plot, draw_columns
 from valve_control.control.laws import linearisation
 from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.friction import (
@@ -294,4 +294,4 @@ def draw(found: Characteristic, path: str) -> None:
         at = np.array([side.edge.value, end])
         label = f"{side.gain.value:.3g} V/V from {side.edge.value:.3g} V on"
         lines.append(Line(label, at, side.gain.value * (at - side.edge.value), "black", True))
-    draw_plots([Path(path)], [Plot("position [V]", lines)], "voltage [V]", "characteristic curve")
+    draw_columns([Path(path)], {"": [Plot("position [V]", lines)]}, "voltage [V]", "characteristic curve")

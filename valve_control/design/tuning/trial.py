@@ -38,25 +38,17 @@ class TuningLimits(NamedTuple):
     Not asked for: 0.0 of what is to be large, infinite for what is to be small.
     """
 
-    gain_db: float
-    phase_deg: float
-    delay_s: float
-    sensitivity_db: float  # at most
-    swing: float  # V  at most; amplitude of swings about rest that friction sustains, by the loop
-    saturated: float  # at most; share of the samples at the limit of the voltage
-    pause_s: float = 0.0  # s  of the command, after which the reference comes back
+    gain_db: float = 3.0
+    phase_deg: float = 20.0
+    delay_s: float = 0.0005
+    sensitivity_db: float = 12.0  # at most
+    swing: float = 0.04  # V  at most; amplitude of swings about rest that friction sustains, by the loop
+    saturated: float = 0.02  # at most; share of the samples at the limit of the voltage
+    pause_s: float = 0.01  # s  of the command, after which the reference comes back
     overshoot: float = math.inf  # -  of steps, at most, median of the valves
 
 
-USUAL = TuningLimits(
-    gain_db=3.0,
-    phase_deg=20.0,
-    delay_s=0.0005,
-    sensitivity_db=12.0,
-    swing=0.04,
-    saturated=0.02,
-    pause_s=0.01,
-)  # where nothing else is asked for
+USUAL = TuningLimits()
 OVERSHOOT = 0.05  # -  that is asked for of a reference that brakes in time
 
 
