@@ -14,9 +14,9 @@ from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags import metadata as bag_metadata
 from valve_control.recordings.bags.cdr import Decoder
 from valve_control.recordings.bags.errors import BagError, refuse_pointer
+from valve_control.recordings.bags.logs import KINDS as TABLES
 from valve_control.recordings.bags.messages import Block, Topic
 from valve_control.recordings.bags.sqlite import SqliteFile
-from valve_control.recordings.bags.table import KINDS as TABLES
 from valve_control.recordings.bags.table import TableFile
 
 if TYPE_CHECKING:
@@ -107,11 +107,12 @@ class Bag:
         """The table that is read as a bag, None of others."""
         return next((file for file in self._files if isinstance(file, TableFile)), None)
 
-    def use_times(self, times: Integers, clock: str) -> None:
-        """Give the rows of a table their ``times`` [ns], by the ``clock`` of this name."""
+    def take_times(self, maps: Sequence[str]) -> list[str]:
+        """Give the rows of a table their times by the ``maps``; returns the others. Raises BagError."""
         assert self.table is not None
-        self.table.use_times(times, clock)
+        rest = self.table.take_times(maps, self.problems)
         self.topics = {topic.name: topic for topic in self.table.topics}
+        return rest
 
     @property
     def size(self) -> int:
@@ -132,7 +133,7 @@ class Bag:
     def begin(self) -> int:
         """Log time [ns] of the first message, 0 if there are none; not of one hours from all near it."""
         if self.table is not None:
-            return int(self.table.times[0]) if len(self.table.times) else 0
+            return min((int(time[0]) for time in self.table.times if len(time)), default=0)
         firsts = filter(None, map(_first_block, self._files))
         return min((stretch(block.log_time)[0] for block in firsts), default=0)
 
@@ -172,8 +173,6 @@ class Bag:
         for file in self._files:
             listed = map(self._as_listed, file.topics)
             names = [t.name if t.name in topics and self._is_known(t) else "" for t in listed]
-            if isinstance(file, TableFile):
-                file.wanted = [i for i, name in enumerate(names) if name]
             for block in file.blocks():
                 if len(block.topic):
                     block = block._replace(place=before + block.place)
@@ -196,6 +195,8 @@ class Bag:
         topics in ``sparse`` fields that a message does not have are NaN. Raises BagError if there is no such
         topic, or its type is unknown.
         """
+        if self.table is not None:
+            return {name: self._column(name, names, start, end) for name, names in fields.items()}
         collected = {
             name: _Collector(self.topic(name), fields.get(name, ()), name in raw, name in sparse)
             for name in {*fields, *raw}
@@ -206,6 +207,22 @@ class Bag:
             inside = (block.log_time >= since) & (block.log_time < last)
             collected[name].take(block if inside.all() else block.select(np.flatnonzero(inside)))
         return {name: collector.series() for name, collector in collected.items()}
+
+    def _column(self, name: str, fields: Sequence[str], start: int | None, end: int | None) -> Series:
+        """Values of a column of a table as messages, each row at its place; empty cells are none."""
+        assert self.table is not None
+        if set(fields) != {"data"}:
+            raise BagError(f"{name} is a column of {self.path}, which has no {', '.join(fields)}")
+        at = self.table.topics.index(self.topic(name))
+        column, time = self.table.columns[at], self.table.times[at]
+        chosen = (
+            column.filled
+            & (time >= (-np.inf if start is None else start))
+            & (time < (np.inf if end is None else end))
+        )
+        place, time = np.flatnonzero(chosen), time[chosen]
+        numbers, values = np.zeros(len(time), dtype=np.int64), column.values[chosen]
+        return Series(time, time, numbers, place, {"data": values}, {}, [], 0, "", {})
 
     def topic(self, name: str) -> Topic:
         """Topic ``name``. Raises BagError if there is none."""
@@ -289,7 +306,7 @@ class Bag:
     def _file(self, path: Path) -> "File":
         suffix = _plain_suffix(path)
         if path.suffix.lower() in TABLES:
-            self.storage = TABLES[path.suffix.lower()]
+            self.storage = TABLES[path.suffix.lower()][0]
             return TableFile(path)
         if suffix not in KINDS:
             raise BagError(
