@@ -46,7 +46,14 @@ class Series(NamedTuple):
 
     def having(self, field: str) -> "Series":
         """The messages that have ``field``."""
-        return self.pick(self.present[field]) if field in self.present else self
+        return self.only(self.present[field]) if field in self.present else self
+
+    def only(self, chosen: npt.NDArray[np.bool_]) -> "Series":
+        """The messages chosen by a mask; the others, which are not lost, have no numbers."""
+        if chosen.all():
+            return self
+        numbered = len(self.sequence) > 1 and np.all(np.diff(self.sequence) > 0)  # by one publisher
+        return self._replace(sequence=self.sequence - numbered * np.cumsum(~chosen)).pick(chosen)
 
     def pick(self, chosen: npt.NDArray[Any]) -> "Series":
         """The messages chosen by a mask or by indices."""
@@ -389,7 +396,6 @@ class _Collector:
         self._decoders = {field: Decoder(topic, [field], optional=sparse) for field in fields}
         self._keep_raw = raw
         self._raw: list[bytes] = []
-        self._failed = 0  # messages without the first field, for whatever reason
         # Piece by piece: log time, publish time, sequence, place; fields; which messages have these.
         kinds = [np.int64] * 4 + [np.float64] * len(fields) + [np.bool_] * len(fields)
         self._columns: list[list[npt.NDArray[Any]]] = [[np.empty(0, dtype=kind)] for kind in kinds]
@@ -398,12 +404,6 @@ class _Collector:
         decoders = self._decoders.values()
         found = [one.decode(block.buffer, block.offset, block.length) for one in decoders]
         values, masks = [numbers[:, 0] for numbers, _ in found], [mask for _, mask in found]
-        if found:
-            self._failed += int(np.count_nonzero(~masks[0]))
-            done: npt.NDArray[np.bool_] = np.logical_or.reduce(masks)
-            if not done.all():
-                block = block.select(done)
-                values, masks = [one[done] for one in values], [one[done] for one in masks]
         if self._keep_raw:
             self._raw += block.contents()
         for pieces, column in zip(self._columns, (*block[2:6], *values, *masks), strict=True):
@@ -413,18 +413,20 @@ class _Collector:
         log, publish, sequence, place, *rest = map(_joined, self._columns)
         count = len(self._decoders)
         first = next(iter(self._decoders.values()), None)
-        return Series(
+        series = Series(
             log_time=log,
             publish_time=publish,
             sequence=sequence,
             place=place,
             values=dict(zip(self._decoders, rest[:count], strict=True)),
-            present={f: mask for f, mask in zip(self._decoders, rest[count:], strict=True) if not mask.all()},
+            present=dict(zip(self._decoders, rest[count:], strict=True)),
             raw=self._raw,
-            undecodable=self._failed - first.absent if first is not None else 0,
+            undecodable=int(np.count_nonzero(~rest[count])) - first.absent if first is not None else 0,
             error=first.error if first is not None else "",
             absent={field: one.absent for field, one in self._decoders.items() if one.absent},
         )
+        series = series.only(np.logical_or.reduce(rest[count:])) if first is not None else series
+        return series._replace(present={f: mask for f, mask in series.present.items() if not mask.all()})
 
 
 def _joined(pieces: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
