@@ -53,6 +53,7 @@ setup(
         "axis": ["ruckig>=0.14"],
         "canopen": ["canopen>=2.4", "python-can>=4.6", "pyserial>=3.5"],
         "dashboard": ["nicegui>=3.18,<4"],
+        "logs": ["mat-io>=1.0", "asammdf>=8.8"],
         "modbus": ["pymodbus>=3.16,<4"],
         "serial": ["pyserial>=3.5"],
         "test": [
@@ -69,6 +70,8 @@ setup(
             "pymodbus>=3.16,<4",
             "canopen>=2.4",
             "python-can>=4.6",
+            "mat-io>=1.0",
+            "asammdf>=8.8",
         ],
     },
     python_requires=">=3.11",

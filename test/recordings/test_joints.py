@@ -84,6 +84,19 @@ def test_another_publisher_of_other_joints_costs_nothing(run, true, tmp_path, pe
     assert not any("decoded" in text or "lost" in text for text in notes)
 
 
+@pytest.mark.parametrize(("every", "lost"), [(2, 0), (3, 0), (5, 40)])
+def test_a_publisher_that_alternates_its_joints_loses_none(run, tmp_path, every, lost):
+    """Only what nobody recorded is lost, not the messages of the same publisher that have other joints."""
+    own = as_joints(run.messages)
+    readings = [m for m in own if m.topic == "/joint_states"]
+    others = [m._replace(data=joints(["boom"], [3.0])) for k, m in enumerate(readings) if k % every]
+    kept = [m for k, m in enumerate(readings) if k % every == 0]
+    rest = [m for m in own if m.topic != "/joint_states"]
+    found = as_dict(analyze(load(write(tmp_path / "bag", [*rest, *kept, *others[lost:]]), MAP)))
+    timing = found["valves"]["valve"]["timing"]["spool_position"]
+    assert timing["lost"] == lost and timing["messages"] == len(kept)
+
+
 def test_a_label_that_never_comes_is_refused_with_those_that_do(run, tmp_path, capsys):
     own = as_joints(run.messages, ["boom", "spool"])
     bag = str(write(tmp_path / "bag", [*own, *arm(own, 1, ["arm"], True)]))

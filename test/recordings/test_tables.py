@@ -2,14 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of numbers, text and MATLAB files, read as bags: the same run as a bag is the reference."""
 
+import matio
 import numpy as np
 import pytest
+from asammdf import MDF, Signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import Run, write
+from matio.utils import matclass
 from scipy.io import savemat
 
-from valve_control.recordings.bags import columns
+from valve_control.recordings.bags import logs
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.recording import align, load
 
@@ -36,6 +39,56 @@ def text(table, separator=",", comma=False, form="%.17g"):
 
 
 HEADER = "time_s,command,lvdt,u\n"
+SCOPE = """Name\tvalve
+File\tvalve.csv
+Starttime of export\t132959733843760000\tMontag, 2. Mai 2022\t15:56:24.376
+
+Name\tcommand\tName\tlvdt\tu
+SymbolComment\t\tSymbolComment\t\t
+Data-Type\tREAL64\tData-Type\tREAL32\tINT16
+SampleTime[ms]\t10\tSampleTime[ms]\t1\t1
+Port\t851\tPort\t851\t851
+Unit\tmV (Voltage)\tUnit\tV (Voltage)\t(None)
+Unit Offset\t0\tUnit Offset\t0\t0
+
+"""  # of TwinCAT: two columns of times, that of the second channel is also that of the third
+LABVIEW = """LabVIEW Measurement\t
+Writer_Version\t2
+Separator\tTab
+Multi_Headings\tYes
+X_Columns\tOne
+Date\t2016/08/23
+Time\t10:45:47.0352557312499836422
+***End_of_Header***\t
+\t
+Channels\t3
+Samples\t900\t900\t900\t
+Y_Unit_Label\tmV\tVolts\tVolts\t
+X_Dimension\tTime\tTime\tTime\t
+X0\t0.0000000000000000E+0\t0.0\t0.0\t
+Delta_X\t0.001\t0.001\t0.001\t
+***End_of_Header***\t\t\t\t
+X_Value\tcommand\tlvdt\tu\tComment
+"""
+
+
+def scope(table, every=1):
+    """TwinCAT's export, whose slower channel ends before the others; the command in mV."""
+    lines = []
+    for k, (time, _, reading, voltage) in enumerate(table.tolist()):
+        slow = ["", ""]
+        if k * every < len(table):
+            slow = [f"{1e3 * table[k * every, 0]:.17g}", f"{1e3 * table[k * every, 1]:.17g}"]
+        lines.append("\t".join([*slow, f"{1e3 * time:.17g}", f"{reading:.17g}", f"{voltage:.17g}"]))
+    return SCOPE + "\n".join(lines) + "\nEOF\n"
+
+
+def dated(table, stamp, separator=","):
+    """The table with dates in place of times; ``stamp``: text of seconds after ten o'clock."""
+    lines = text(table[:, 1:], separator, separator == ";").splitlines()
+    return "".join(f"{stamp(t)}{separator}{line}\n" for t, line in zip(table[:, 0], lines, strict=True))
+
+
 TEXTS = {
     "plain": (lambda t: HEADER + text(t), PLAIN),
     "semicolons and decimal commas, as a German spreadsheet": (
@@ -64,6 +117,56 @@ TEXTS = {
     ),
     "units behind the names": (
         lambda t: "Zeit [ms]\tcommand (mV)\tlvdt [V]\tu [kV]\n" + text(t * [1e3, 1e3, 1, 1e-3], "\t"),
+        PLAIN,
+    ),
+    "TwinCAT Scope": (scope, PLAIN),
+    "LabVIEW with a remark": (
+        lambda t: LABVIEW + text(t * [1, 1e3, 1, 1], "\t").replace("\n", "\tLOST\n", 1),
+        PLAIN,
+    ),
+    "LabVIEW without times": (
+        lambda t: (
+            LABVIEW.replace("One", "No") + "\t" + text(t[:, 1:] * [1e3, 1, 1], "\t").replace("\n", "\n\t")
+        ),
+        PLAIN,
+    ),
+    "LabVIEW with a time for each channel, decimal commas": (
+        lambda t: (
+            LABVIEW.replace("mV", "")
+            .replace("\tVolts", "")
+            .replace("command\tlvdt", "command\tX_Value\tlvdt")
+            .replace("lvdt\tu", "lvdt\tX_Value\tu")
+            + text(t[:, [0, 1, 0, 2, 0, 3]], "\t", True)
+        ),
+        PLAIN,
+    ),
+    "date and time, ISO": (
+        lambda t: "when,command,lvdt,u\n" + dated(t, lambda s: f"2026-11-27T10:00:{s:09.6f}Z"),
+        PLAIN,
+    ),
+    "date and time in one column, German": (
+        lambda t: (
+            "Zeit;command;lvdt;u\n"
+            + dated(t, lambda s: f"27.11.2026 10:00:{s:06.3f}".replace(".", ",").replace(",", ".", 2), ";")
+        ),
+        PLAIN,
+    ),
+    "date and time in two columns": (
+        lambda t: (
+            "Datum;Uhrzeit;command;lvdt;u\n"
+            + dated(t, lambda s: f"05.02.2009;13:08:{s:06.3f}".replace(":12.", ":12,"), ";")
+        ),
+        PLAIN,
+    ),
+    "time of day over midnight": (
+        lambda t: (
+            "Time\tcommand\tlvdt\tu\n"
+            + dated(
+                t,
+                lambda s: f"{23 if s < 13 else 0:02d}:{59 if s < 13 else 0:02d}:{(s + 47) % 60:06.3f}",
+                "\t",
+            )
+        ),
         PLAIN,
     ),
     "sample period": (lambda t: "command,lvdt,u\n" + text(t[:, 1:]), [*PLAIN, "time=row*0.001+3"]),
@@ -156,6 +259,103 @@ def test_a_matlab_file_gives_the_signals_of_the_bag(tmp_path, reference, kind):
     same(tmp_path / "log.mat", maps, reference)
 
 
+@pytest.mark.parametrize("every", [2, 5, 10])
+def test_each_channel_of_twincat_has_its_own_time(tmp_path, reference, every):
+    """A slower command is held; by the rows it would be that of another time."""
+    (tmp_path / "scope.csv").write_text(scope(rows(reference), every))
+    recording = load(tmp_path / "scope.csv", PLAIN)
+    found = align(recording.valves["valve"])
+    held = np.repeat(reference.command[::every], every)[: len(reference.time)]
+    assert np.allclose(found.command, held, rtol=0.0, atol=1e-12)
+    assert np.array_equal(found.measurement, reference.measurement)
+    assert np.array_equal(found.voltage, reference.voltage)
+    assert not any("empty" in note for note in recording.problems)
+
+
+def series(name, table, column, uniform=False):
+    """A timeseries as Simulink saves it; with a uniform time there is but its beginning and step."""
+    times = {"Time_": np.empty((0, 0)) if uniform else table[:, :1]}
+    info = {
+        "Start_": table[:1, :1],
+        "Increment_": np.array([[1e-3]]),
+        "Length": np.array([[float(len(table))]]),
+    }
+    data = {
+        "Name": name,
+        "Data_": table[:, column].reshape(1, 1, -1),
+        "TimeInfo": opaque(info, "tsdata.timemetadata"),
+    }
+    return opaque({**times, **data}, "timeseries")
+
+
+def opaque(properties, name):
+    return matclass.MatlabOpaque(properties, name)
+
+
+def dataset(table):
+    """A Simulink Dataset of signals, one of them with a uniform time."""
+    elements = np.empty((1, 3), dtype=object)
+    for k, name in enumerate(("command", "lvdt", "u")):
+        values = series("", table, k + 1, k == 1)
+        elements[0, k] = opaque({"Name": name, "Values": values}, "Simulink.SimulationData.Signal")
+    storage = opaque({"Elements": elements}, "Simulink.SimulationData.Storage.RamDatasetStorage")
+    return opaque({"Name": "logsout", "Storage_": storage}, "Simulink.SimulationData.Dataset")
+
+
+OBJECTS = {
+    "timeseries": lambda t: {name: series(name, t, k) for k, name in enumerate(("command", "lvdt", "u"), 1)},
+    "dataset": lambda t: {"logsout": dataset(t)},
+    "vectors": lambda t: {"time": t[:, :1], "command": t[:, 1:2], "lvdt": t[:, 2:3], "u": t[:, 3:]},
+    "ControlDesk": lambda t: {
+        "rec": {
+            "Time": t[:, :1],
+            "Y": np.array(
+                [(name, t[:, k : k + 1]) for k, name in enumerate(("command", "lvdt", "u"), 1)],
+                dtype=[("Name", object), ("Data", object)],
+            ).reshape(1, 3),
+        }
+    },
+}
+
+
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
+@pytest.mark.parametrize("kind", OBJECTS)
+def test_signals_of_matlab_are_found_by_name(tmp_path, reference, kind, version):
+    matio.save_to_mat(str(tmp_path / "log.mat"), OBJECTS[kind](rows(reference)), version=version)
+    same(tmp_path / "log.mat", PLAIN, reference)
+
+
+@pytest.mark.parametrize("every", [1, 5, 10])
+def test_an_mdf_file_gives_the_signals_of_the_bag(tmp_path, reference, every):
+    """A group of channels for each rate; one signal in mV."""
+    time, command, reading, voltage = rows(reference).T
+    with MDF() as file:
+        file.append(
+            [Signal(1e3 * reading, time, name="lvdt", unit="mV"), Signal(voltage, time, name="u", unit="V")]
+        )
+        file.append([Signal(command[::every], time[::every], name="command", unit="V")])
+        file.save(tmp_path / "log.mf4")
+    found = align(load(tmp_path / "log.mf4", PLAIN).valves["valve"])
+    assert np.allclose(found.measurement, reference.measurement, rtol=0.0, atol=1e-12)
+    assert np.array_equal(found.voltage, reference.voltage)
+    held = np.repeat(reference.command[::every], every)[: len(reference.time)]
+    assert np.array_equal(found.command, held)
+
+
+def test_what_an_extra_reads_is_said_without_it(tmp_path, reference, monkeypatch):
+    table = rows(reference)
+    matio.save_to_mat(str(tmp_path / "new.mat"), {"time": table[:, :1]}, version="v7.3")
+    (tmp_path / "log.mf4").write_bytes(b"MDF     4.10")
+    mixed = {**OBJECTS["vectors"](table), "logsout": dataset(table)}
+    matio.save_to_mat(str(tmp_path / "log.mat"), mixed, version="v7")
+    monkeypatch.setattr(logs, "find_spec", lambda name: None)
+    for name in ("new.mat", "log.mf4"):
+        with pytest.raises(BagError, match=r"needs? the extra logs"):
+            load(tmp_path / name, PLAIN)
+    valve = same(tmp_path / "log.mat", PLAIN, reference)
+    assert valve and any("extra logs" in note for note in load(tmp_path / "log.mat", PLAIN).problems)
+
+
 def test_units_are_told_where_they_are_not_known(tmp_path, reference):
     for units, note in (
         ("", "no column has a unit: all count as V"),
@@ -229,6 +429,16 @@ REFUSED = {
         ["spool_position=y"],
         "1e-9",
     ),
+    "a time that counts": (
+        "Time,y\n1,1\n2,2\n3,3\n",
+        ["spool_position=y"],
+        "column Time counts 1, 2, 3 without a unit; give the time of a step: --map time=Time*0.001",
+    ),
+    "a day that does not exist": (
+        "when;y\n31.02.2026 10:00:00;1\n31.02.2026 10:00:01;2\n",
+        ["time=when", "spool_position=y"],
+        "column when holds '31.02.2026 10:00:00' in line 2",
+    ),
     "several times": ("t,time,y\n1,2,3\n3,4,3\n", ["spool_position=y"], "t, time may be times"),
     "two columns of one name": (
         "time,y,y\n0,1,2\n1,1,2\n",
@@ -261,7 +471,7 @@ def test_matlab_files_that_cannot_be_used(tmp_path):
     cases = {
         "hdf5": (
             b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\x02IM" + b"\x89HDF\r\n\x1a\n",
-            "with the option -v7",
+            "not a MATLAB file",
         ),
         "torn": (
             b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\x01IM" + b"\x0f\0\0\0\xff\0\0\0abc",
@@ -277,7 +487,9 @@ def test_matlab_files_that_cannot_be_used(tmp_path):
     savemat(tmp_path / "none.mat", {"Ts": 1.0, "name": "valve"})
     with pytest.raises(BagError, match=r"has no vector of numbers; it has Ts \(float\), name \(str\)"):
         load(tmp_path / "none.mat", PLAIN)
-    savemat(tmp_path / "lengths.mat", {"time": np.arange(5.0), "y": np.arange(4.0), "c": np.arange(5.0) * 1j})
+    savemat(
+        tmp_path / "lengths.mat", {"time": np.arange(5.0) / 9, "y": np.arange(4.0), "c": np.arange(5.0) * 1j}
+    )
     for column, words in (("y", "4 rows and the time 5"), ("c", "complex")):
         with pytest.raises(BagError, match=words):
             load(tmp_path / "lengths.mat", [f"spool_position={column}"])
@@ -301,7 +513,7 @@ def test_any_table_comes_back_or_is_doubted(tmp_path_factory, table, separator, 
     path = tmp_path_factory.getbasetemp() / "any.csv"
     names = separator.join("abcd"[: len(table[0])]) + "\n" if header else ""
     path.write_text(names + text(np.array(table), separator, comma))
-    found = columns.read(path, [])
+    found = logs.read(path, [])
     assert len(found) == len(table[0])
     for column, wanted in zip(found, np.array(table).T, strict=True):
         assert column.flaw or np.array_equal(column.values, wanted)

@@ -240,7 +240,7 @@ def _simulated(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment |
 def _recorded(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | None]":
     """Tests in bags: of the response, and of the friction if it is asked for."""
     from valve_control.design.identification import recorded
-    from valve_control.recordings import recording, tables
+    from valve_control.recordings import mapping, recording
 
     _refuse(arguments, SIMULATED, "identify with a bag")
     paths = [path for path in (arguments.bag, arguments.friction) if path is not None]
@@ -251,7 +251,7 @@ def _recorded(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | 
     ):
         if path is None:
             continue
-        maps = tables.maps_of(path, arguments.map, paths)
+        maps = mapping.maps_of(path, arguments.map, paths)
         loaded = recording.load(path, maps, start, end, clock=arguments.clock)
         if not loaded.valves:
             raise BagError(f"{path} has no topic of a valve")

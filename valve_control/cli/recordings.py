@@ -38,7 +38,7 @@ def _bag_options() -> Parser:
     options.add_argument(
         "bag",
         metavar="BAG",
-        help="folder with metadata.yaml, an .mcap or .db3 file, or a table: .csv or MATLAB's .mat",
+        help="folder with metadata.yaml, an .mcap or .db3 file, or a log: .csv, .lvm, .mat or .mf4",
     )
     bag_options(
         options.add_argument_group("input"),
@@ -112,12 +112,12 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
 
 
 def _load(arguments: argparse.Namespace, path: str, journals: bool = False) -> "Recording":
-    from valve_control.recordings import recording, tables
+    from valve_control.recordings import mapping, recording
 
     start, end = getattr(arguments, "start", None), getattr(arguments, "end", None)
     if start is not None and end is not None and end <= start:
         raise ParameterError(f"--to {end:g} lies not after --from {start:g}")
-    maps = tables.maps_of(path, arguments.map, getattr(arguments, "bags", [path]))
+    maps = mapping.maps_of(path, arguments.map, getattr(arguments, "bags", [path]))
     return recording.load(path, maps, start, end, journals, arguments.clock)
 
 

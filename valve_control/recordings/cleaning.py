@@ -9,9 +9,10 @@ import numpy as np
 
 from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags.bag import Series
+from valve_control.recordings.bags.table import TableFile
 from valve_control.recordings.clocks import MANY, SMALL_DISORDER, leaps
 from valve_control.recordings.mapping import Source
-from valve_control.recordings.pairing import Pairs, Samples, paired
+from valve_control.recordings.pairing import Pairs, Samples, by_row, paired
 
 LEAD = ("spool_position", "valve_voltage", "spool_command")  # whose part is chosen where time was set back
 FEW_STAMPS = 3  # from which on a clock is a coarse one
@@ -36,20 +37,20 @@ def clean(
     sources: Mapping[str, Source],
     series: Mapping[str, Series],
     problems: list[str],
-    rows: bool = False,
+    table: TableFile | None = None,
     received: bool = False,
 ) -> Cleaned:
     """Put the signals of one valve in order; what is left out is named in ``problems``.
 
-    ``series``: their publish_time is of the clock of the recording; ``rows``: they are columns of a table, of
-    which a row has one stamp; ``received``: their times are those at which they were recorded.
+    ``series``: their publish_time is of the clock of the recording; ``table``: they are columns of it;
+    ``received``: their times are those at which they were recorded.
     """
     raw = {part: _samples(source, series[source.topic], problems) for part, source in sources.items()}
     recorded = {part: _checked(one, problems) for part, one in _in_order(raw, problems).items()}
-    pairs = paired(recorded, received)
+    pairs = paired(recorded, received) if table is None else by_row(recorded, table)
     if pairs is not None:
         recorded = {part: one._replace(time=pairs.times[part]) for part, one in recorded.items()}
-        problems.append(_note(pairs, recorded["spool_position"].topic, rows))
+        problems.append(_note(pairs, table is not None))
         for part in pairs.vague:
             problems.append(
                 f"the file has topic after topic within a stamp, so the times on {recorded[part].topic} are "
@@ -68,9 +69,10 @@ def clean(
     return Cleaned(recorded, usable, pairs)
 
 
-def _note(pairs: Pairs, name: str, rows: bool) -> str:
-    """How the signals are paired with the readings on the topic ``name``."""
-    if rows and not pairs.several:
+def _note(pairs: Pairs, rows: bool) -> str:
+    """How the signals are paired with the readings."""
+    name = pairs.lead
+    if pairs.crossed and rows:
         return "command, reading and voltage of a row count as those of one sample; no latency is told"
     if pairs.crossed:
         return (
@@ -139,7 +141,7 @@ def _in_order(raw: dict[str, Samples], problems: list[str]) -> dict[str, Samples
 
 def _checked(samples: Samples, problems: list[str]) -> Samples:
     """``samples``; none where they share one or two stamps; without numbers that are not one publisher's."""
-    stamps = len(np.unique(samples.time))
+    stamps = 1 + int(np.count_nonzero(np.diff(samples.time)))
     if len(samples.time) >= MANY and stamps < FEW_STAMPS:
         problems.append(
             f"the {len(samples.time)} messages of {samples.topic} share {stamps} stamp{'s' * (stamps > 1)}, "

@@ -11,7 +11,8 @@ from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.bags.cdr import Decoder, normal
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.messages import absolute
-from valve_control.recordings.tables import column_of, empty_notes, scaled, take_times, unit_notes, unit_of
+from valve_control.recordings.bags.table import PART as TIME
+from valve_control.recordings.bags.table import is_table, scaled, unit_of
 
 PARTS = ("spool_command", "spool_position", "valve_voltage")
 TRAJECTORY = "spool_trajectory"  # plays the part of the command where there are no others
@@ -53,6 +54,16 @@ class ValveTopics(NamedTuple):
         return all(str(source) in own[part] for part, source in self.sources.items())
 
 
+def maps_of(path: str, maps: Sequence[str], paths: Sequence[str]) -> list[str]:
+    """Those of the ``maps`` that are for ``path``, if tables and bags are among the ``paths`` that are read.
+
+    Maps of a table name columns, those of a bag topics, which begin with a slash.
+    """
+    if len({is_table(other) for other in paths}) < 2:
+        return list(maps)
+    return [text for text in maps if text.partition("=")[2].strip().startswith("/") != is_table(path)]
+
+
 def _mapped(bag: Bag, text: str) -> tuple[str, str, Source]:
     """Valve, part and source of the map ``[valve/]part=/topic[.field][*factor±offset or @word]``.
 
@@ -67,8 +78,10 @@ def _mapped(bag: Bag, text: str) -> tuple[str, str, Source]:
         )
     valve = valve if valve.strip("/") == ONLY else valve.strip("/") or ONLY
     if bag.table is not None:
-        column, scale = column_of(bag.table, text)
-        return valve, part, Source(bag.table.topics[bag.table.column(column)].name, "data", scale)
+        at, scale = bag.table.source(text)
+        if at is None:
+            raise BagError(f"--map {text}: the number of a row is a time, no signal")
+        return valve, part, Source(bag.table.topics[at].name, "data", scale)
     source, scale = scaled(text)
     topic, _, field = source.partition(".")
     normal(field or "data")
@@ -81,7 +94,11 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     Raises BagError if there is none, a mapped topic or field does not exist, or one of their topics cannot be
     read at all.
     """
-    maps = take_times(bag, maps)
+    timed = [text for text in maps if text.partition("=")[0].strip() == TIME]
+    if bag.table is not None:
+        maps = bag.take_times(maps)
+    elif timed:
+        raise BagError(f"--map {timed[0]}: {bag.path} has times of its own; only a table's are mapped")
     columns = [] if bag.table is None else zip(bag.table.topics, bag.table.columns, strict=True)
     units = {topic.name: unit_of(column) for topic, column in columns}
     sources: dict[str, dict[str, Source]] = {}
@@ -98,7 +115,7 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     for name in bag.topics:
         namespace, _, part = name.rpartition("/")
         parts = sources.get(_name(namespace), {})
-        if part == TRAJECTORY and parts and _spoken(bag, name):
+        if part == TRAJECTORY and parts and bag.table is None and _spoken(bag, name):
             command = parts.get("spool_command")
             silent = command is None or not _spoken(bag, command.topic)
             if silent and not _wrong_field(bag, Source(name, POSITION)):
@@ -122,7 +139,7 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     bag.problems += left_out
     if bag.table is not None:
         used = [source.topic for parts in sources.values() for source in parts.values()]
-        bag.problems += empty_notes(bag.table, used) + unit_notes(bag.table, used)
+        bag.problems += bag.table.notes_on(used)
     return {
         valve: ValveTopics(valve, _namespace(valve), parts, *_own_topics(bag, _namespace(valve)))
         for valve, parts in sorted(sources.items())
@@ -170,7 +187,7 @@ def _spoken(bag: Bag, topic: str) -> bool:
 def _wrong_field(bag: Bag, source: Source) -> str:
     """Why ``source`` is no number in its topic's messages; "" if it is one in any, or none can be read."""
     topic = bag.topic(source.topic)
-    if topic.unreadable:
+    if topic.unreadable or bag.table is not None:
         return ""
     try:
         decoder = Decoder(topic, [source.field])

@@ -14,6 +14,7 @@ from scipy.ndimage import median_filter
 
 from valve_control.arrays import Floats, Integers
 from valve_control.control.analysis.timing import LATE, true_period
+from valve_control.recordings.bags.table import TableFile
 from valve_control.recordings.clocks import MANY, in_order, shared
 
 BOTH = 0.2  # of the voltages that have the stamp of a reading where the clock is coarse
@@ -22,6 +23,7 @@ SAME_RATE = 0.1  # by which numbers may go on faster or slower than those of the
 DISORDER = 0.01  # of the messages that may be out of order in the file where it counts
 CROSSED = 0.02  # of the voltages that may be recorded before their reading, or behind the next
 WINDOW = 101  # messages whose usual distance to the readings counts for the one in their middle
+PARTS_OF_ROW = ("spool_command", "spool_position", "valve_voltage")  # of a table, in order of time
 LATER = 0.6  # of a period from a reading to the command that was there after it
 
 
@@ -43,12 +45,12 @@ class Samples(NamedTuple):
 class Pairs(NamedTuple):
     """Times of messages whose stamps do not tell what belongs together."""
 
+    lead: str  # topic whose messages the others are paired with, as a rule the readings
     resolution: float  # s, usual step from one stamp to the next
     times: dict[str, Integers]  # ns, by part
     places: Integers  # of the readings, if the order in the file counts
     vague: list[str]  # parts of which nothing tells between which readings they came
-    several: bool  # whether readings share their stamps among themselves, not only with other signals
-    crossed: bool  # whether readings and their answers were recorded in another order than sent
+    crossed: bool  # whether stamps tell all but the order of readings and answers
 
     def of(self, time: Integers, place: Integers) -> Integers:
         """Times [ns] of messages with the stamps ``time`` by their ``place`` between the readings."""
@@ -76,11 +78,10 @@ def paired(signals: Mapping[str, Samples], received: bool = False) -> Pairs | No
     answers = signals.get("valve_voltage", signals.get("spool_command"))
     several = shared(readings.time)
     ordered = several and answers is not None and _interleaved(readings.place, answers.place)
-    times = {part: spread(one) for part, one in signals.items()}
+    times = {part: spread(one.time, one.sequence) for part, one in signals.items()}
     places = np.maximum.accumulate(readings.place) if ordered else readings.place[:0]
-    resolution = float(np.median(np.diff(np.unique(readings.time)))) * 1e-9
-    pairs = Pairs(resolution, times, places, [], several, crossed)
-    counted, lead = _numbers(readings), times["spool_position"]
+    pairs = Pairs(readings.topic, _resolution(readings.time), times, places, [], crossed)
+    counted, lead = _numbers(readings.sequence), times["spool_position"]
     period = round(float(np.median(np.diff(lead))))
     numbers = np.concatenate([[counted[0] - 1], counted, [counted[-1] + 1]])
     known = np.concatenate([[lead[0] - period], lead, [lead[-1] + period]])
@@ -91,14 +92,14 @@ def paired(signals: Mapping[str, Samples], received: bool = False) -> Pairs | No
         answer = part == "valve_voltage"
         # The reading after which a message comes; a command with the key of a reading is there before it.
         reading = numbers[np.searchsorted(*keys, side="right" if answer else "left")]
-        number = _numbers(one)
+        number = _numbers(one.sequence)
         among = (reading >= counted[0]) & (reading < counted[-1])
         ahead, ahead_of_it = (np.ptp(some[among]) if among.any() else 0 for some in (number, reading))
         if ahead_of_it > 0 and abs(ahead / ahead_of_it - 1.0) < SAME_RATE:
             reading = number + median_filter(reading - number, WINDOW, mode="mirror")
             share = np.interp(reading + (0.0 if answer else LATER), numbers, known - known[0])
             moved = known[0] + np.round(share).astype(np.int64) + answer
-            near = np.abs(moved - times[part]) <= 2e9 * resolution
+            near = np.abs(moved - times[part]) <= 2e9 * pairs.resolution
             times[part] = np.maximum.accumulate(np.where(near, moved, times[part]))
         elif ordered:
             times[part] = pairs.of(times[part], one.place)
@@ -126,7 +127,7 @@ def _crossed(readings: Samples, voltages: Samples) -> bool:
     """Whether many voltages come beside another reading than their number says, by a steady difference."""
     if min(len(readings.time), len(voltages.time)) < WINDOW:
         return False
-    counted, number = _numbers(readings), _numbers(voltages)
+    counted, number = _numbers(readings.sequence), _numbers(voltages.sequence)
     at = np.searchsorted(readings.time, voltages.time, side="right")
     reading = np.concatenate([[counted[0] - 1], counted])[at]
     if np.ptp(reading) == 0 or abs(np.ptp(number) / np.ptp(reading) - 1.0) >= SAME_RATE:
@@ -136,20 +137,39 @@ def _crossed(readings: Samples, voltages: Samples) -> bool:
     return float(np.mean(beside != usual)) > CROSSED and float(np.mean(np.diff(usual) != 0)) < CROSSED
 
 
-def _numbers(one: Samples) -> Integers:
+def by_row(signals: Mapping[str, Samples], table: TableFile) -> Pairs:
+    """Times of the columns of a table: in its row a command is before the reading and a voltage behind it."""
+    times, places, lead = {}, np.empty(0, dtype=np.int64), next(iter(signals.values()))
+    coarse = False
+    for part, one in signals.items():
+        rows, stamps = table.row_times(one.topic)
+        coarse = coarse or shared(stamps)
+        moved = spread(stamps, np.zeros_like(stamps))[np.searchsorted(rows, one.place)]
+        times[part] = moved + PARTS_OF_ROW.index(part) - 1
+        lead = one if part == "spool_position" else lead
+    return Pairs(lead.topic, _resolution(lead.time), times, places, [], not coarse)
+
+
+def _resolution(time: Integers) -> float:
+    """Usual step [s] from one stamp [ns] to the next."""
+    steps = np.diff(time)
+    steps = steps[steps > 0]
+    return float(np.median(steps)) * 1e-9 if len(steps) else 0.0
+
+
+def _numbers(sequence: Integers) -> Integers:
     """Numbers of the publisher, or from 0 where it has none that are in order."""
-    return one.sequence if in_order(one.sequence) else np.arange(len(one.time), dtype=np.int64)
+    return sequence if in_order(sequence) else np.arange(len(sequence), dtype=np.int64)
 
 
-def spread(one: Samples) -> Integers:
+def spread(time: Integers, sequence: Integers) -> Integers:
     """Stamps [ns], in order, spread by number from the first message of a stamp to that of the next."""
-    time = one.time
     first = np.flatnonzero(np.diff(time, prepend=time[:1] - 1) > 0)
     if len(first) < 3 or len(first) == len(time):
         return time
-    number, anchors = _numbers(one), first[1:]  # of the first stamp there may be the last messages only
+    number, anchors = _numbers(sequence), first[1:]  # of the first stamp there may be the last messages only
     slopes = np.diff(time[anchors]) / np.diff(number[anchors])
-    measured = 1e9 * true_period(time, one.sequence)
+    measured = 1e9 * true_period(time, sequence)
     period = measured if measured > 0.0 else float(np.median(slopes))
     # After a pause messages come as soon as before it.
     slopes = np.append(np.minimum(slopes, LATE * period), period)

@@ -18,6 +18,7 @@ from valve_control.recordings import modes, parameters
 from valve_control.recordings.bags.bag import Bag, Series
 from valve_control.recordings.bags.cdr import Decoder, deserialized
 from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.table import TableFile
 from valve_control.recordings.cleaning import clean, seconds
 from valve_control.recordings.clocks import Clock, decide, of_table, without_strays
 from valve_control.recordings.mapping import PARTS, STATE_TYPE, ValveTopics, find_valves
@@ -150,9 +151,9 @@ def load(
     if start is not None:
         nodes = {name: node.from_time(first) for name, node in nodes.items()}
     words = modes.words([series[name] for name in diagnostics], bag.problems)
-    since, rows = 0 if start is None else first, bag.table is not None
+    since = 0 if start is None else first
     valves = {
-        name: _valve(valve, series, labels.get(valve.state, []), nodes, words, since, used, rows)
+        name: _valve(valve, series, labels.get(valve.state, []), nodes, words, since, used, bag.table)
         for name, valve in topics.items()
     }
     if not any(len(s.time) for valve in valves.values() for s in valve.signals.values()):
@@ -222,10 +223,10 @@ def _valve(
     words: dict[str, list[modes.Word]],
     since: int,
     clock: Clock,
-    rows: bool,
+    table: TableFile | None,
 ) -> ValveRecording:
     problems: list[str] = []
-    cleaned = clean(topics.sources, series, problems, rows, received=clock.name == "log_time")
+    cleaned = clean(topics.sources, series, problems, table, received=clock.name == "log_time")
     signals, pairs = cleaned.usable, cleaned.pairs
     doubts = list(problems)
     # Of several controllers the one whose state or journal is read.
@@ -243,11 +244,11 @@ def _valve(
     for part in PARTS:
         if part not in signals:
             problems.append(f"{topics.name} has no {part}; what needs it is left out")
-    if topics.state == "" and not rows:
+    if topics.state == "" and table is None:
         problems.append(f"{topics.name} has no ~/state of its controller: no estimates and no V2")
     journal = _journal(series.get(topics.journal), problems)
     accounts = _accounts(series.get(topics.memory))
-    if "controller" not in kinds and not accounts and not rows:
+    if "controller" not in kinds and not accounts and table is None:
         problems.append(f"{topics.name}: the bag has no parameters of its controller")
     for node in kinds.values():
         if node.missing and not (accounts and node.kind == "controller"):
@@ -274,8 +275,8 @@ def _valve(
         problems=problems,
         doubts=doubts,
         clock=clock,
-        coarse=pairs is not None and not pairs.crossed and (pairs.several or not rows),
-        paired=rows or (pairs is not None and pairs.crossed),
+        coarse=pairs is not None and not pairs.crossed,
+        paired=table is not None or (pairs is not None and pairs.crossed),
     )
 
 

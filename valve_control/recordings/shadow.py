@@ -164,7 +164,7 @@ class _ByJournal(_Replay):
         self._changed = False  # whether parameters came into use that the next account tells
         self._apart: float | None = 0.0  # s without rows before the next reading, None if none are missing
         self._mismatches = self._refused = unseen = gaps = 0
-        answered: list[float] = []
+        answered: list[tuple[int, float]] = []  # time [ns] and voltage [V]
         before: Block | None = None
         last: float | None = None  # number of the last reading
         for block in self._from_account(blocks):
@@ -181,7 +181,7 @@ class _ByJournal(_Replay):
                     unseen += int(number - last - 1) if last is not None and number > last else 0
                     last = number
                 if voltage is not None and not math.isnan(row[VOLTAGE]):
-                    answered.append(row[VOLTAGE])
+                    answered.append((time, row[VOLTAGE]))
                     yield self._row(time, row[READING], row[VOLTAGE], voltage)
             before = block
         if gaps:
@@ -264,16 +264,18 @@ class _ByJournal(_Replay):
                 supervisor.publishers(COUNTED[event], int(row[NUMBER]))
         return None
 
-    def _compare(self, answered: list[float]) -> None:
+    def _compare(self, answered: list[tuple[int, float]]) -> None:
         """Whether the voltages on the topic are those in the journal."""
-        if self._voltages is None:
+        heard = self._voltages
+        if heard is None or not answered:
             return
-        heard = self._voltages.value.tolist()
-        others = (Counter(heard) - Counter(answered)).total()
+        others = (Counter(heard.value.tolist()) - Counter(voltage for _, voltage in answered)).total()
         if others:
+            early, late = (answered[0][0] - heard.time[0]) * 1e-9, (heard.time[-1] - answered[-1][0]) * 1e-9
             self._say(
-                f"{others} of {len(heard)} messages on {self._voltages.topic} are not in the part of the "
-                "journal that is replayed: it begins with an account and ends up to 0.1 s before the bag"
+                f"{others} of {len(heard.time)} messages on {heard.topic} are not in the part of the journal that "
+                f"is replayed: it begins {max(early, 0.0):.3f} s after the first of them and ends "
+                f"{max(late, 0.0):.3f} s before the last"
             )
 
     def _why_nothing(self) -> str:

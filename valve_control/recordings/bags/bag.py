@@ -14,9 +14,9 @@ from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags import metadata as bag_metadata
 from valve_control.recordings.bags.cdr import Decoder
 from valve_control.recordings.bags.errors import BagError, refuse_pointer
+from valve_control.recordings.bags.logs import KINDS as TABLES
 from valve_control.recordings.bags.messages import Block, Topic
 from valve_control.recordings.bags.sqlite import SqliteFile
-from valve_control.recordings.bags.table import KINDS as TABLES
 from valve_control.recordings.bags.table import TableFile
 
 if TYPE_CHECKING:
@@ -46,7 +46,14 @@ class Series(NamedTuple):
 
     def having(self, field: str) -> "Series":
         """The messages that have ``field``."""
-        return self.pick(self.present[field]) if field in self.present else self
+        return self.only(self.present[field]) if field in self.present else self
+
+    def only(self, chosen: npt.NDArray[np.bool_]) -> "Series":
+        """The messages chosen by a mask; the others, which are not lost, have no numbers."""
+        if chosen.all():
+            return self
+        numbered = len(self.sequence) > 1 and np.all(np.diff(self.sequence) > 0)  # by one publisher
+        return self._replace(sequence=self.sequence - numbered * np.cumsum(~chosen)).pick(chosen)
 
     def pick(self, chosen: npt.NDArray[Any]) -> "Series":
         """The messages chosen by a mask or by indices."""
@@ -107,11 +114,12 @@ class Bag:
         """The table that is read as a bag, None of others."""
         return next((file for file in self._files if isinstance(file, TableFile)), None)
 
-    def use_times(self, times: Integers, clock: str) -> None:
-        """Give the rows of a table their ``times`` [ns], by the ``clock`` of this name."""
+    def take_times(self, maps: Sequence[str]) -> list[str]:
+        """Give the rows of a table their times by the ``maps``; returns the others. Raises BagError."""
         assert self.table is not None
-        self.table.use_times(times, clock)
+        rest = self.table.take_times(maps, self.problems)
         self.topics = {topic.name: topic for topic in self.table.topics}
+        return rest
 
     @property
     def size(self) -> int:
@@ -132,7 +140,7 @@ class Bag:
     def begin(self) -> int:
         """Log time [ns] of the first message, 0 if there are none; not of one hours from all near it."""
         if self.table is not None:
-            return int(self.table.times[0]) if len(self.table.times) else 0
+            return min((int(time[0]) for time in self.table.times if len(time)), default=0)
         firsts = filter(None, map(_first_block, self._files))
         return min((stretch(block.log_time)[0] for block in firsts), default=0)
 
@@ -172,8 +180,6 @@ class Bag:
         for file in self._files:
             listed = map(self._as_listed, file.topics)
             names = [t.name if t.name in topics and self._is_known(t) else "" for t in listed]
-            if isinstance(file, TableFile):
-                file.wanted = [i for i, name in enumerate(names) if name]
             for block in file.blocks():
                 if len(block.topic):
                     block = block._replace(place=before + block.place)
@@ -196,6 +202,8 @@ class Bag:
         topics in ``sparse`` fields that a message does not have are NaN. Raises BagError if there is no such
         topic, or its type is unknown.
         """
+        if self.table is not None:
+            return {name: self._column(name, names, start, end) for name, names in fields.items()}
         collected = {
             name: _Collector(self.topic(name), fields.get(name, ()), name in raw, name in sparse)
             for name in {*fields, *raw}
@@ -206,6 +214,22 @@ class Bag:
             inside = (block.log_time >= since) & (block.log_time < last)
             collected[name].take(block if inside.all() else block.select(np.flatnonzero(inside)))
         return {name: collector.series() for name, collector in collected.items()}
+
+    def _column(self, name: str, fields: Sequence[str], start: int | None, end: int | None) -> Series:
+        """Values of a column of a table as messages, each row at its place; empty cells are none."""
+        assert self.table is not None
+        if set(fields) != {"data"}:
+            raise BagError(f"{name} is a column of {self.path}, which has no {', '.join(fields)}")
+        at = self.table.topics.index(self.topic(name))
+        column, time = self.table.columns[at], self.table.times[at]
+        chosen = (
+            column.filled
+            & (time >= (-np.inf if start is None else start))
+            & (time < (np.inf if end is None else end))
+        )
+        place, time = np.flatnonzero(chosen), time[chosen]
+        numbers, values = np.zeros(len(time), dtype=np.int64), column.values[chosen]
+        return Series(time, time, numbers, place, {"data": values}, {}, [], 0, "", {})
 
     def topic(self, name: str) -> Topic:
         """Topic ``name``. Raises BagError if there is none."""
@@ -289,7 +313,7 @@ class Bag:
     def _file(self, path: Path) -> "File":
         suffix = _plain_suffix(path)
         if path.suffix.lower() in TABLES:
-            self.storage = TABLES[path.suffix.lower()]
+            self.storage = TABLES[path.suffix.lower()][0]
             return TableFile(path)
         if suffix not in KINDS:
             raise BagError(
@@ -372,7 +396,6 @@ class _Collector:
         self._decoders = {field: Decoder(topic, [field], optional=sparse) for field in fields}
         self._keep_raw = raw
         self._raw: list[bytes] = []
-        self._failed = 0  # messages without the first field, for whatever reason
         # Piece by piece: log time, publish time, sequence, place; fields; which messages have these.
         kinds = [np.int64] * 4 + [np.float64] * len(fields) + [np.bool_] * len(fields)
         self._columns: list[list[npt.NDArray[Any]]] = [[np.empty(0, dtype=kind)] for kind in kinds]
@@ -381,12 +404,6 @@ class _Collector:
         decoders = self._decoders.values()
         found = [one.decode(block.buffer, block.offset, block.length) for one in decoders]
         values, masks = [numbers[:, 0] for numbers, _ in found], [mask for _, mask in found]
-        if found:
-            self._failed += int(np.count_nonzero(~masks[0]))
-            done: npt.NDArray[np.bool_] = np.logical_or.reduce(masks)
-            if not done.all():
-                block = block.select(done)
-                values, masks = [one[done] for one in values], [one[done] for one in masks]
         if self._keep_raw:
             self._raw += block.contents()
         for pieces, column in zip(self._columns, (*block[2:6], *values, *masks), strict=True):
@@ -396,18 +413,20 @@ class _Collector:
         log, publish, sequence, place, *rest = map(_joined, self._columns)
         count = len(self._decoders)
         first = next(iter(self._decoders.values()), None)
-        return Series(
+        series = Series(
             log_time=log,
             publish_time=publish,
             sequence=sequence,
             place=place,
             values=dict(zip(self._decoders, rest[:count], strict=True)),
-            present={f: mask for f, mask in zip(self._decoders, rest[count:], strict=True) if not mask.all()},
+            present=dict(zip(self._decoders, rest[count:], strict=True)),
             raw=self._raw,
-            undecodable=self._failed - first.absent if first is not None else 0,
+            undecodable=int(np.count_nonzero(~rest[count])) - first.absent if first is not None else 0,
             error=first.error if first is not None else "",
             absent={field: one.absent for field, one in self._decoders.items() if one.absent},
         )
+        series = series.only(np.logical_or.reduce(rest[count:])) if first is not None else series
+        return series._replace(present={f: mask for f, mask in series.present.items() if not mask.all()})
 
 
 def _joined(pieces: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:

@@ -1,28 +1,59 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Reads tables of numbers, text or MATLAB files, as bags: each column is a topic of std_msgs/Float64."""
+"""Reads logs as bags: each column is a topic of std_msgs/Float64, with times by a column of times or rows."""
 
-from collections.abc import Collection, Iterator
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
-from valve_control.arrays import Integers
-from valve_control.recordings.bags import columns, matlab
+from valve_control.arrays import Floats, Integers
+from valve_control.control.drivers.scaling import Scale, ScaleError, parse
+from valve_control.recordings.bags import logs
 from valve_control.recordings.bags.errors import BagError, refuse_pointer
+from valve_control.recordings.bags.logs import KINDS, TIME, UNITS, Column
 from valve_control.recordings.bags.messages import Block, Topic, absolute
 
 FLOAT = "std_msgs/msg/Float64"
-HEADER = np.array([0, 1, 0, 0], dtype=np.uint8)  # of a message: CDR, little endian
-SIZE = len(HEADER) + 8  # bytes of a message
-ROWS = 20_000  # of one block
-TEXT = "csv"
-MATLAB = "mat"
-KINDS = {".csv": TEXT, ".txt": TEXT, ".tsv": TEXT, ".dat": TEXT, ".mat": MATLAB}
+PART = "time"  # of a map
+ROW = "row"  # the number of a row from 0, as in time=row*0.001
+SCALED = re.compile(r"(?P<source>.+?)\s*(?P<scale>@[^@]+|\*[^*]+)")
+LONGEST = 9e9  # s, as long as nanoseconds can be counted
+GAP = 5.0  # usual steps of time from which on rows are missing
+ONE = Scale(1.0)
+
+
+def is_table(path: Path | str) -> bool:
+    """Whether the name ``path`` is that of a table."""
+    return Path(path).suffix.lower() in KINDS
+
+
+def scaled(text: str) -> tuple[str, Scale]:
+    """Source and scale that the map ``text`` names behind its ``=``: ``source[*factor±offset or @word]``.
+
+    Raises BagError.
+    """
+    right = text.partition("=")[2].strip()
+    found = SCALED.fullmatch(right)
+    if found is None:
+        return right, ONE
+    try:
+        return found["source"].strip(), parse(found["scale"].removeprefix("@"))
+    except ScaleError as error:
+        raise BagError(f"--map {text}: {error}") from None
+
+
+def unit_of(column: Column) -> Scale:
+    """Factor of the column's unit to s or V, 1 without one that is known."""
+    return Scale(UNITS.get(column.unit.lower(), 1.0))
 
 
 class TableFile:
-    """One table, whose rows have no times until ``use_times``.
+    """One table, whose rows have no times until ``take_times``.
 
     Raises BagError if it is none, OSError if it cannot be read.
     """
@@ -33,23 +64,24 @@ class TableFile:
         self.damaged: set[int] = set()
         refuse_pointer(path)
         self.size = path.stat().st_size
-        matlab_file = KINDS[path.suffix.lower()] == MATLAB
-        self.columns = matlab.read(path) if matlab_file else columns.read(path, self.problems)
+        self.columns = logs.read(path, self.problems)
         self.topics = [
             Topic(absolute(name), FLOAT, flaw=column.flaw)
             for name, column in zip(self._topic_names(), self.columns, strict=True)
         ]
-        self.times: Integers = np.empty(0, dtype=np.int64)  # ns, of each row
+        self.times: list[Integers] = [np.empty(0, dtype=np.int64)] * len(self.columns)  # ns, of their rows
+        self.timed: list[npt.NDArray[np.bool_]] = [np.empty(0, dtype=np.bool_)] * len(self.columns)
         self.clock = ""  # what these times are of
-        self.wanted: Collection[int] = range(len(self.topics))  # columns that are read
 
     def _topic_names(self) -> list[str]:
         """Names of the columns, for those that have none of their own their numbers."""
         names = [column.bare_name for column in self.columns]
         found = [
-            name if name and names.count(name) == 1 else str(number)
-            for number, name in enumerate(names, start=1)
+            name if name and names.count(name) == 1 else column.name or str(number)
+            for number, (name, column) in enumerate(zip(names, self.columns, strict=True), start=1)
         ]
+        counts = Counter(found)
+        found = [name if counts[name] == 1 else str(number) for number, name in enumerate(found, start=1)]
         if len(set(map(absolute, found))) < len(found):  # the name of one is the number of another
             return [str(number) for number in range(1, 1 + len(found))]
         return found
@@ -58,10 +90,6 @@ class TableFile:
     def listed(self) -> str:
         """Names of the columns, in words."""
         return ", ".join(topic.name.removeprefix("/") for topic in self.topics)
-
-    def named(self, name: str) -> bool:
-        """Whether a column has exactly this name, or several have."""
-        return any(name in (column.name, column.bare_name) for column in self.columns)
 
     def column(self, name: str) -> int:
         """Index of the column with this name, or else this number from 1. Raises BagError."""
@@ -76,49 +104,178 @@ class TableFile:
             raise BagError(f"{self.path} has no column {name}; it has {self.listed}")
         return found[0]
 
-    def use_times(self, times: Integers, clock: str) -> None:
-        """Take ``times`` [ns] of the rows, each at least that of the row before; ``clock`` names them.
+    def source(self, text: str) -> tuple[int | None, Scale]:
+        """Column and scale that the map ``text`` names, the column by its exact name or its number from 1.
 
-        Columns with another number of rows cannot be read from then on.
+        None for the number of the row; without a scale that of the column's unit. Raises BagError.
         """
-        self.times = times
-        self.clock = clock
-        for i, column in enumerate(self.columns):
-            if not column.flaw and len(column.values) != len(times):
-                flaw = (
-                    f"column {column.name or i + 1} has {len(column.values)} rows and the time {len(times)}; "
-                    "they must agree"
-                )
-                self.columns[i] = column._replace(flaw=flaw)
-                self.topics[i] = self.topics[i]._replace(flaw=flaw)
+        right = text.partition("=")[2].strip()
+        known = {name for column in self.columns for name in (column.name, column.bare_name)}
+        name, scale = (right, ONE) if right in known else scaled(text)
+        if name == ROW and ROW not in known:
+            return None, scale
+        at = self.column(name)
+        return at, unit_of(self.columns[at]) if scale == ONE else scale
 
     def close(self) -> None:
         """Close the file, which has been read as a whole."""
 
     def blocks(self) -> Iterator[Block]:
-        """Yield all rows, one message for each column; the messages of a row share their place."""
-        usable = [i for i in self.wanted if not self.columns[i].flaw]
-        for begin in range(0, len(self.times), ROWS):
-            if usable:
-                yield self._block(usable, begin, min(begin + ROWS, len(self.times)))
+        """No messages: columns are taken as they are."""
+        return iter(())
 
-    def _block(self, usable: list[int], begin: int, end: int) -> Block:
-        rows = slice(begin, end)
-        filled = np.column_stack([self.columns[i].filled[rows] for i in usable])
-        values = np.column_stack([self.columns[i].values[rows] for i in usable])[filled]
-        buffer = np.empty((len(values), SIZE), dtype=np.uint8)
-        buffer[:, : len(HEADER)] = HEADER
-        buffer[:, len(HEADER) :] = values.astype("<f8").view(np.uint8).reshape(-1, 8)
-        row, column = np.nonzero(filled)
-        times = self.times[rows][row]
-        length = np.full(len(values), SIZE, dtype=np.int64)
-        return Block(
-            buffer=buffer.ravel(),
-            topic=np.array(usable, dtype=np.int64)[column],
-            log_time=times,
-            publish_time=times,
-            sequence=np.zeros(len(values), dtype=np.int64),
-            place=begin + row,
-            offset=np.cumsum(length) - length,
-            length=length,
-        )
+    def take_times(self, maps: Sequence[str], notes: list[str]) -> list[str]:
+        """The ``maps`` of parts; those of the time tell when the rows were taken.
+
+        Without such a map the column with a usual name is taken, or the only one with date and time. Several
+        of the same name tell the times of those that stand beside or behind them. Raises BagError.
+        """
+        timed = [text for text in dict.fromkeys(maps) if text.partition("=")[0].strip() == PART]
+        rest = [text for text in maps if text not in timed]
+        if len(timed) > 1:
+            raise BagError(f"--map {timed[1]}: the time is mapped already, by --map {timed[0]}")
+        if not timed:
+            self._take_own(notes)
+            return rest
+        at, scale = self.source(timed[0])
+        if at is None:
+            # Rows of the first column that is mapped, or of most columns.
+            counts = Counter(len(column.values) for column in self.columns)
+            mapped = [i for text in rest[:1] for i, _ in (self.source(text),) if i is not None]
+            most = max(counts, key=lambda rows: (counts[rows], rows))
+            count = len(self.columns[mapped[0]].values) if mapped else most
+            values, self.clock = np.arange(count, dtype=np.float64), f"{ROW}{scale}"
+        else:
+            values, self.clock = self._usable(at), self._clock(at, scale)
+        self._use(values, scale, range(len(self.columns)), notes)
+        return rest
+
+    def _clock(self, at: int, scale: Scale) -> str:
+        column = self.columns[at]
+        since = f" since {column.since}" if column.since else ""
+        return f"column {column.name or at + 1}{scale if scale != ONE else ''}{since}"
+
+    def _usable(self, at: int) -> Floats:
+        column = self.columns[at]
+        if column.flaw:
+            raise BagError(f"{self.path}: {column.flaw}")
+        return np.where(column.filled, column.values, np.nan)
+
+    def _take_own(self, notes: list[str]) -> None:
+        """Take the times of the columns that are times by their names. Raises BagError."""
+        ends = [column.name.rpartition(".")[2] for column in self.columns]
+        named = {i: found for i, end in enumerate(ends) if (found := TIME.fullmatch(end))}
+        named = {i: found for i, found in named.items() if not self.columns[i].flaw}
+        plain = [i for i, found in named.items() if not found["stamp"]]
+        dated = [i for i, column in enumerate(self.columns) if column.since and not column.flaw]
+        times = plain or list(named) or dated
+        if not times or len({ends[i].casefold() for i in times}) > 1:
+            several = f"{', '.join(self.columns[i].name for i in times)} may be times; " if times else ""
+            raise BagError(
+                f"{self.path}: {several}say when its rows were taken: --map time=COLUMN*FACTOR in seconds, "
+                f"or --map time=row*PERIOD; its columns are {self.listed}"
+            )
+        owner = [
+            max(times, key=lambda t: (self._shared(t, i), t <= i, -abs(t - i)))
+            for i in range(len(self.columns))
+        ]
+        for at in times:
+            column = self.columns[at]
+            unit = named[at]["unit"].lower() if at in named and not column.unit else column.unit.lower()
+            scale, self.clock = Scale(UNITS.get(unit, 1.0)), ""
+            self.clock = self._clock(at, scale)
+            own = [i for i, time in enumerate(owner) if time == at]
+            values = self._usable(at)
+            if unit not in ("", *UNITS):
+                raise BagError(f"{self.path}: the unit {unit} of {self.clock} is not known; map the time")
+            if not unit and not column.since and len(values) > 2 and np.all(np.diff(values) == 1.0):
+                counted = ", ".join(f"{value:g}" for value in values[:3])
+                raise BagError(
+                    f"{self.path}: {self.clock} counts {counted} without a unit; give the time of a step: "
+                    f"--map time={column.name}*0.001, or *1 for seconds"
+                )
+            self._use(values, scale, own, notes)
+        if len(times) > 1:
+            self.clock = f"{len(times)} columns {ends[times[0]]}, each for the signals behind it"
+        notes.append(f"the time is {self.clock}, in seconds; --map time=COLUMN*FACTOR takes another")
+
+    def _shared(self, one: int, other: int) -> int:
+        """Length of the path that the names of two columns share, as of two fields of a structure."""
+        paths = (self.columns[one].name.rpartition(".")[0], self.columns[other].name.rpartition(".")[0])
+        shared = os.path.commonprefix([path.split(".") for path in paths])
+        return len(shared)
+
+    def _use(self, values: Floats, scale: Scale, own: Sequence[int], notes: list[str]) -> None:
+        """Take ``values`` times ``scale`` [s] as the times of the columns ``own``.
+
+        Columns with another number of rows cannot be read from then on. Raises BagError.
+        """
+        count = len(values)
+        for i in own:
+            column = self.columns[i]
+            if not column.flaw and len(column.values) != count:
+                flaw = (
+                    f"column {column.name or i + 1} has {len(column.values)} rows and the time {count}; "
+                    "they must agree"
+                )
+                self.columns[i] = column._replace(flaw=flaw)
+                self.topics[i] = self.topics[i]._replace(flaw=flaw)
+        filled = [self.columns[i].filled for i in own if not self.columns[i].flaw]
+        rows = np.flatnonzero(np.logical_or.reduce(filled)) if filled else np.arange(count)
+        self._check(rows, values[rows], scale, notes)
+        times = np.zeros(count, dtype=np.int64)
+        times[rows] = np.round((values[rows] * scale.factor + scale.offset) * 1e9).astype(np.int64)
+        for i in own:
+            self.times[i], self.timed[i] = times, np.isfinite(values)
+
+    def _check(self, rows: Integers, values: npt.NDArray[np.float64], scale: Scale, notes: list[str]) -> None:
+        """Raise BagError unless ``values`` times ``scale`` are times of ``rows`` one after the other."""
+        path, clock = self.path, self.clock
+        if len(values) < 2:
+            raise BagError(f"{path} has {len(values)} row(s); a recording needs more")
+        unknown = np.flatnonzero(~np.isfinite(values))
+        if len(unknown):
+            raise BagError(f"{path} has no time in row {rows[unknown[0]] + 1} ({clock}); each row needs one")
+        times = values * scale.factor + scale.offset
+        steps = np.diff(times)
+        back = np.flatnonzero(steps < 0.0)
+        if len(back):
+            at = int(back[0])
+            raise BagError(
+                f"{path}: the time runs backwards from row {rows[at] + 1} to row {rows[at + 1] + 1}, from "
+                f"{times[at]:.10g} to {times[at + 1]:.10g} s ({clock}); sort the rows, or cut the file there"
+            )
+        if times[-1] == times[0]:
+            raise BagError(f"{path}: all rows have the same time, {times[0]:.10g} s ({clock})")
+        if np.max(np.abs(times)) > LONGEST:
+            raise BagError(
+                f"{path}: the time reaches {times[int(np.argmax(np.abs(times)))]:.3g} s ({clock}); give its "
+                "factor to seconds, as in --map time=stamp_ns*1e-9"
+            )
+        gaps = np.flatnonzero(steps > GAP * np.median(steps[steps > 0.0]))
+        if len(gaps):
+            at = int(gaps[0])
+            notes.append(
+                f"the time leaps by more than {GAP:g} usual steps in {len(gaps)} place(s), the first from "
+                f"row {rows[at] + 1} to row {rows[at + 1] + 1}, by {steps[at]:.4g} s: rows are missing there"
+            )
+
+    def row_times(self, topic: str) -> tuple[Integers, Integers]:
+        """Rows that have a time for the column of this topic, and their times [ns]."""
+        at = next(i for i, known in enumerate(self.topics) if known.name == topic)
+        rows = np.flatnonzero(self.timed[at])
+        return rows, self.times[at][rows]
+
+    def notes_on(self, topics: Sequence[str]) -> list[str]:
+        """Where cells of the columns ``topics`` are empty, and what their units are where they do not say."""
+        found = [i for i, topic in enumerate(self.topics) if topic.name in topics]
+        used, notes = [self.columns[i] for i in found], []
+        for i, column in zip(found, used, strict=True):
+            if empty := np.count_nonzero(self.timed[i] & ~column.filled):
+                name, count = self.topics[i].name.removeprefix("/"), np.count_nonzero(self.timed[i])
+                notes.append(f"{name} is empty in {empty} of {count} rows")
+        unknown = [c for c in used if c.unit and c.unit.lower() not in UNITS]
+        notes += [f"the unit {c.unit} of {c.bare_name} is not known: it counts as V" for c in unknown]
+        if used and not any(c.unit for c in used):
+            notes.append("no column has a unit: all count as V")
+        return notes
