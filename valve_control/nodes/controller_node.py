@@ -94,7 +94,6 @@ class Controller(Managed):
         self._said: tuple[Mode, str] | None = None
         self._announced: dict[str, float] = {}  # s, when a change was last told, by source
         self._tell_at = NEVER  # s, when it is this valve's turn to tell one
-        self._readings: NumberSubscription | None = None
         self._lockstep: Lockstep | None = None
         self._in_lockstep = False
         self._watch_at = NEVER
@@ -147,7 +146,7 @@ class Controller(Managed):
         self._journal_topics.apply(parameter.number(values, "memory_period"))
         if values["lockstep"] != self._in_lockstep:
             self._in_lockstep = values["lockstep"] is True
-            if self._readings is not None:
+            if self.configured:
                 self._unsubscribe()
                 self._subscribe()
             if self.working and not self._in_lockstep:  # whoever gave readings may have ended
@@ -193,24 +192,18 @@ class Controller(Managed):
         return NumberSubscription(self, "spool_position", qos)
 
     def _unsubscribe(self) -> None:
-        assert self._readings is not None
         self._readings.destroy()
         self._commands.destroy()
         self._trajectories.destroy()
 
     def close(self) -> None:
         """Destroy publishers and subscriptions."""
-        self._unsubscribe()
         self._rivals.listen(False, self._period)
-        self.destroy_publisher(self._voltages)
-        self._telemetry.close()
-        self._journal_topics.close()
-        self._readings = None
+        super().close()
 
     def begin(self) -> None:
         """Start from rest; messages that already wait are stale and dropped, but not in lockstep."""
         self._rivals.begin()
-        assert self._readings is not None
         if not self._in_lockstep:
             for topic in (self._readings, self._commands, self._trajectories):
                 for _ in topic.take():
@@ -243,7 +236,7 @@ class Controller(Managed):
 
     def deliver(self) -> None:
         """Wait until the last 0 V is acknowledged; not in ``end``, where other valves would have to wait."""
-        if self._readings is not None:
+        if self.configured:
             for publisher in (self._voltages, self._journal_topics.publisher):
                 publisher.wait_for_all_acked(Duration(seconds=LAST_WORD))
 
@@ -251,7 +244,7 @@ class Controller(Managed):
 
     def inputs(self) -> Sequence[PolledSubscription]:
         """Subscription of the LVDT; in lockstep those of commands while a reading waits for one."""
-        if not self.working or self._readings is None:
+        if not self.working:
             return ()
         if self._lockstep is None or self._lockstep.waiting is None:
             return (self._readings,)
@@ -264,7 +257,7 @@ class Controller(Managed):
 
     def work(self) -> bool:
         """Answer each waiting reading, or warm caches for the next; without a reading in time, switch off."""
-        if not self.working or self._readings is None:
+        if not self.working:
             return False
         tells = time.monotonic() >= self._tell_at  # in ``report``, which follows
         if tells:
@@ -421,7 +414,7 @@ class Controller(Managed):
     # What is around
 
     def _watch_graph(self) -> None:
-        if self._readings is None:
+        if not self.configured:
             return
         self._journal_topics.look()
         counts = {topic: self.count_publishers(topic) for topic in OBSERVED}
@@ -547,7 +540,7 @@ class Controller(Managed):
     def _status(self) -> tuple[bytes, str]:
         """Level and sentence of the diagnostics."""
         if not self.working:
-            return DiagnosticStatus.OK, "inactive" if self._readings is not None else "unconfigured"
+            return DiagnosticStatus.OK, "inactive" if self.configured else "unconfigured"
         if self._rivals.stands_by:
             return DiagnosticStatus.ERROR, f"{STANDS_BY}; {self._supervisor.reason}"
         return LEVELS[self._supervisor.mode], self._supervisor.reason

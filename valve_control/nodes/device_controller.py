@@ -96,11 +96,6 @@ class DeviceController(DeviceNode, Controller):
         self._from_device = DeviceReadings(self._device)
         return self._from_device
 
-    def close(self) -> None:
-        """Destroy publishers and subscriptions, close the device."""
-        super().close()
-        self.destroy_publisher(self._positions)
-
     def begin(self) -> None:
         """Start from rest; the output is switched on when the loop runs."""
         self._begun, self._ready_at, self._told = False, 0.0, ()

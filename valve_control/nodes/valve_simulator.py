@@ -77,7 +77,6 @@ class ValveSimulator(Managed):
         self._step: Any = None
         self._state: Any = None
         self._period = 0.0
-        self._voltages: NumberSubscription | None = None
         self._next = NEVER
         self._voltage = 0.0
         self._heard = False  # whether a voltage has ever come
@@ -169,18 +168,8 @@ class ValveSimulator(Managed):
         self._positions = self.create_publisher(Float64, "spool_position", SAMPLES)
         self._clock_publisher: Any = None
 
-    def close(self) -> None:
-        """Destroy publishers and subscriptions."""
-        assert self._voltages is not None
-        self._voltages.destroy()
-        self._voltages = None
-        self.destroy_publisher(self._positions)
-        if self._clock_publisher is not None:
-            self.destroy_publisher(self._clock_publisher)
-
     def begin(self) -> None:
         """Start from rest."""
-        assert self._voltages is not None
         for _ in self._voltages.take():
             pass
         self._rest()
@@ -192,7 +181,7 @@ class ValveSimulator(Managed):
 
     def inputs(self) -> Sequence[NumberSubscription]:
         """Subscription of the voltage in lockstep; on the wall clock none, the next sample is on time."""
-        return (self._voltages,) if self.working and self._lockstep and self._voltages is not None else ()
+        return (self._voltages,) if self.working and self._lockstep else ()
 
     def due(self) -> float:
         """Time [s] of the next sample, or in lockstep of the next look for a missing party."""
@@ -336,7 +325,6 @@ class ValveSimulator(Managed):
             self._diagnose()
 
     def _poll_voltage(self) -> bool:
-        assert self._voltages is not None
         arrived = False
         for voltage, _ in self._voltages.take():
             arrived = True
@@ -362,7 +350,7 @@ class ValveSimulator(Managed):
         }
         level, text = DiagnosticStatus.OK, "simulating"
         if not self.working:
-            text = "inactive" if self._voltages is not None else "unconfigured"
+            text = "inactive" if self.configured else "unconfigured"
         elif self._centring:
             level, text = DiagnosticStatus.ERROR, "no voltage: 0 V, the spring centres the spool"
         elif self._fault != ("none", "none"):
