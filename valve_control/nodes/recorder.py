@@ -8,7 +8,8 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from itertools import accumulate, count
+from heapq import merge
+from itertools import count
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, TypeVar
@@ -147,12 +148,7 @@ def merged(queues: Sequence[Sequence[T]]) -> list[T]:
 
     A clock that is set back while they wait does not turn a queue's order around.
     """
-    keyed = []
-    for queue in queues:
-        latest = accumulate((entry[0] for entry in queue), max)
-        keyed += list(zip(latest, queue, strict=True))
-    keyed.sort(key=itemgetter(0))
-    return [entry for _, entry in keyed]
+    return list(merge(*queues, key=itemgetter(0)))
 
 
 class Recorded:
