@@ -106,7 +106,7 @@ def test_a_simulator_waits_for_a_controller_and_asks_the_next_one_again(ros, tmp
         spin_until(ros, lambda: time.monotonic() > begun + 1.0, "a second")
         assert not readings
         first = stack.enter_context(process("controller", settings, tmp_path / "first.log"))
-        # A command that a controller missed before it had discovered its sender is waited for 20 s: sent again.
+        # A command that a controller missed before it knew its sender is waited for 20 s: sent again.
         spin_until(ros, lambda: len(readings) > 100, "readings", again=send)
         first.send_signal(signal.SIGKILL)
         first.wait()

@@ -221,17 +221,14 @@ class ValveDriver(DeviceNode):
 
     def _on_enable(self, request: Any, response: Any) -> Any:
         (result,) = self.set_parameters([Parameter("enable", value=bool(request.data))])
-        faults = [c.text for c in self._device_conditions() if c.level == "safe"]
+        device = self._device if self.working and self._begun else None
+        faults = [c.text for c in (device.conditions() if device else ()) if c.level == "safe"]
         response.success = result.successful and not faults
         told = "output on" if request.data else "output off"
         if request.data and not self.working:
             told = "the node is not active: the output comes on when it is"
         response.message = result.reason or "; ".join(faults) or told
         return response
-
-    def _device_conditions(self) -> tuple[Condition, ...]:
-        """Conditions of the device once the output has been switched; none before."""
-        return self._device.conditions() if self._device and self.working and self._begun else ()
 
     def _diagnose(self) -> None:
         level, text = DiagnosticStatus.OK, "driving"
@@ -279,7 +276,7 @@ def check(arguments: Sequence[str]) -> int:
         return 2
     try:
         node = Node("valve_driver", enable_rosout=False, start_parameter_services=False)
-        values = ParameterSet(node, VALVE_DRIVER, drivers.sides, lambda values, sides: None).values
+        values = ParameterSet(node, VALVE_DRIVER, drivers.sides).values
         device = drivers.device(values)
         tried = trial.run(device)
     except (ParameterError, DriverError) as error:

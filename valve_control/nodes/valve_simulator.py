@@ -5,7 +5,7 @@
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import registry
 from valve_control.control.plant.amplifier import saturate
-from valve_control.control.plant.plant import Plant
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     SAMPLES,
@@ -45,15 +44,6 @@ BEYOND = 1.5  # times u_max, a reading out of range
 WEAK = 0.2  # of the gain, a weak solenoid
 SLOPES = {"flipped": -1.0, "half": 0.5}  # of an LVDT
 NEVER = math.inf
-
-
-def _stepping(plant: Plant, params: Any) -> Callable[[Any, Any, float], Any]:
-    """Step of ``plant``, compiled and run once with ``params`` if it is too long for plain Python."""
-    step: Callable[[Any, Any, float], Any] = plant.module.step
-    if plant.compiled:
-        step = compile_function(step)
-        step(params, plant.module.initial(params), 0.0)
-    return step
 
 
 class ValveSimulator(Managed):
@@ -119,7 +109,10 @@ class ValveSimulator(Managed):
         self._lockstep = values["clock"] == "lockstep"
         before, self._plant = self._plant, registry.plant_of(self._params)
         if self._plant is not before:
-            self._step = _stepping(self._plant, self._params)
+            self._step = self._plant.module.step
+            if self._plant.compiled:  # it is too long for plain Python
+                self._step = compile_function(self._step)
+                self._step(self._params, self._plant.module.initial(self._params), 0.0)
         if self._state is None or former is None:
             self._rest()
         elif self._plant is not before:
@@ -259,7 +252,7 @@ class ValveSimulator(Managed):
             assert self._sent is not None
             self._asked |= self._there
             self._counts["resent"] += 1
-            self._publish(self._sent)
+            self._positions.publish(encoded(self._sent))
         return new
 
     def _advance(self) -> None:
@@ -269,7 +262,7 @@ class ValveSimulator(Managed):
             self._state = self._state._replace(x=before.x._replace(x1=0.0))
 
     def _send(self) -> None:
-        reading = self._plant.module.read(self._params, self._state, self._noise())
+        reading = self._plant.module.read(self._params, self._state, float(self._random.standard_normal()))
         fault = self._fault[0]
         if fault == "lost":
             self._positions.publish(CORRUPT)
@@ -288,19 +281,12 @@ class ValveSimulator(Managed):
             elif fault in SLOPES:
                 reading *= SLOPES[fault]
             self._sent = reading
-            self._publish(reading)
+            self._positions.publish(encoded(reading))
         self._samples += 1
         if self._fault_left > 0:
             self._fault_left -= 1
             if self._fault_left == 0:
                 self.set_parameters([Parameter(f"fault.{part}", value="none") for part in ("lvdt", "valve")])
-
-    def _noise(self) -> float:
-        """Standard normal number for the noise of this sample's reading."""
-        return float(self._random.standard_normal())
-
-    def _publish(self, reading: float) -> None:
-        self._positions.publish(encoded(reading))
 
     def _take_voltage(self) -> None:
         """Take the voltage of the last sample; wait for it if the controller answered until now."""
