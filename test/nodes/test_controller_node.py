@@ -112,9 +112,10 @@ def test_a_reading_is_prepared_for_and_silence_is_answered_again_and_again(ros, 
         node = upper.node
         upper.sample(0.0)
         monkeypatch.setattr(controller_node, "REMIND", 0.0)
-        warmed = node._warming._number
+        rehearsed = []
+        monkeypatch.setattr(node._supervisor, "rehearse", lambda: rehearsed.append(True))
         node._watch_at = math.inf
-        upper.until(lambda: node._warming._number > warmed, "warm caches")
+        upper.until(lambda: rehearsed, "warm caches")
         assert node._warm_at == math.inf
         node._watch_at = 0.0
         assert node.work() and node._supervisor.mode is Mode.SAFE

@@ -8,7 +8,7 @@ A law, a plant and a driver are each a NamedTuple with name, parameters and pack
 import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
 PACKAGE = "valve_control"
@@ -18,11 +18,6 @@ T = TypeVar("T")
 
 class PluginError(ValueError):
     """Says why an entry cannot be used; the message is one sentence without its name."""
-
-
-def package_of(point: EntryPoint) -> str:
-    """Name of the distribution that brings ``point``."""
-    return point.dist.name if point.dist is not None else point.module
 
 
 def add(
@@ -35,21 +30,18 @@ def add(
     """
     left_out: dict[str, str] = {}
     for point in sorted(entry_points(group=group), key=lambda point: point.name):
-        package = package_of(point)
+        package = point.dist.name if point.dist is not None else point.module
         try:
-            entry: Any = accepted(_imported(point), known)
+            try:
+                loaded = point.load()
+            except Exception as reason:
+                raise PluginError(f"it cannot be imported: {type(reason).__name__}: {reason}") from reason
+            entry: Any = accepted(loaded, known)
         except Exception as reason:  # a field of a wrong type has its own
             left_out[point.name] = f"the {kind} '{point.name}' of the package {package} is left out: {reason}"
         else:
             known[entry.name] = entry._replace(package=package)
     return left_out
-
-
-def _imported(point: EntryPoint) -> Any:
-    try:
-        return point.load()
-    except Exception as reason:
-        raise PluginError(f"it cannot be imported: {type(reason).__name__}: {reason}") from reason
 
 
 def check(entry: Any, kind: type[T]) -> T:
@@ -77,18 +69,13 @@ def first_step() -> Iterator[None]:
         raise PluginError(f"its first step fails: {type(error).__name__}: {error}") from error
 
 
-def check_numbers(results: Iterable[tuple[str, Any]]) -> None:
-    """Raise PluginError unless each of the ``results``, with the name of its function, is a finite float."""
-    for name, value in results:
-        if type(value) is not float or not math.isfinite(value):
-            raise PluginError(f"its {name} gives {value!r}; it must be a finite float")
-
-
-def check_types(results: Iterable[tuple[str, Any, type]]) -> None:
-    """Raise PluginError unless each of the ``results`` is of its type."""
+def check_results(results: Iterable[tuple[str, Any, type]]) -> None:
+    """Raise PluginError unless each of the ``results`` of named functions has its type; a float is finite."""
     for name, value, wanted in results:
-        if type(value) is not wanted:
-            own = type(value)
+        own = type(value)
+        if wanted is float and (own is not float or not math.isfinite(value)):
+            raise PluginError(f"its {name} gives {value!r}; it must be a finite float")
+        if own is not wanted:
             raise PluginError(
                 f"its {name} gives {own.__module__}.{own.__name__}; it must be "
                 f"{wanted.__module__}.{wanted.__name__}"

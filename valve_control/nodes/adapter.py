@@ -4,7 +4,7 @@
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from struct import error as StructError
 from struct import pack, unpack_from
 from typing import Any, NamedTuple
@@ -128,7 +128,8 @@ class ParameterSet:
 
     ``build`` makes the node's immutable parameters from all values or raises ParameterError; ``apply``
     takes them into use. Both run between two samples, since the node has one thread. ``alone``: whether the
-    process has no other node; otherwise its maker calls ``admit`` for all of them.
+    process has no other node; otherwise its maker calls ``admit`` for all of them. ``fixed``: parameters that
+    do not change while the node runs.
     """
 
     def __init__(
@@ -136,8 +137,9 @@ class ParameterSet:
         node: Node,
         table: Table,
         build: Callable[[Values], Any],
-        apply: Callable[[Values, Any], None],
+        apply: Callable[[Values, Any], None] = lambda values, built: None,
         alone: bool = True,
+        fixed: Collection[str] = (),
     ) -> None:
         if alone:
             admit(node, {node.get_fully_qualified_name(): table})
@@ -145,12 +147,11 @@ class ParameterSet:
         self._table = table
         self._build = build
         self._apply = apply
-        declared: dict[str, Value] = {}
-        for parameter in table:
-            declared[parameter.name] = _declared(node, parameter)
-        self.values = updated(table, {}, declared)
-        self._prepared: tuple[Values, Any] | None = None
-        apply(self.values, build(self.values))
+        self._fixed = fixed
+        self.values = updated(table, {}, {parameter.name: _declared(node, parameter) for parameter in table})
+        self.built = build(self.values)
+        self._prepared = (self.values, self.built)
+        apply(self.values, self.built)
         node.add_pre_set_parameters_callback(self._known)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._use)
@@ -172,6 +173,9 @@ class ParameterSet:
     def _check(self, parameters: list[Any]) -> SetParametersResult:
         try:
             changes = self._changes(parameters)
+            for name in self._fixed:
+                if changes[name] != self.values[name]:
+                    raise ParameterError(f"{name} of a running node does not change; start it again")
             self._prepared = (changes, self._build(changes))
         except ParameterError as error:
             reason = outputs.printable(str(error))
@@ -182,12 +186,11 @@ class ParameterSet:
     def _use(self, parameters: list[Any]) -> None:
         values = self._changes(parameters)
         # Building costs a good part of a period: what the check built is used if it is of these values.
-        if self._prepared is None or self._prepared[0] != values:
+        if self._prepared[0] != values:
             self._prepared = (values, self._build(values))
-        built = self._prepared[1]
         if values != self.values:
-            self.values = values
-            self._apply(values, built)
+            self.values, self.built = self._prepared
+            self._apply(self.values, self.built)
 
 
 def number_of(info: Mapping[str, Any]) -> int:

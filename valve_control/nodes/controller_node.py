@@ -5,10 +5,11 @@
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
@@ -23,7 +24,6 @@ from valve_control.control.laws.registry import LAWS, REFUSED
 from valve_control.control.parameters import arguments, build, ros_file
 from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.supervision import rate
-from valve_control.control.supervision.cache_warming import CacheWarming
 from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.journal import OBSERVED, TYPES, Journal
 from valve_control.control.supervision.record import Mode, named_terms
@@ -61,40 +61,32 @@ REMIND = 0.1  # s between two voltages of 0 V while the LVDT is silent
 WATCH_GRAPH = 0.1  # s between two looks at who publishes and reads, and between two parts of the journal
 LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 NEVER = math.inf
-STANDS_BY = "another publisher on valve_voltage controls this valve, so this controller does not"
 WARMING = 0.65  # of a period after a reading
+STANDS_BY = "another publisher on valve_voltage controls this valve, so this controller does not"
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
 # s between those of two valves of a process, by whether it is safe mode: all at once would hold up all.
 TURNS = {False: 0.01, True: 0.002}
-
-
-class Built(NamedTuple):
-    """What is made of a set of values before it is taken into use."""
-
-    params: Any  # of the law
-    realtime: realtime.Request
-    terms: tuple[str, ...]  # of ~/terms
+Built = tuple[Any, realtime.Request, tuple[str, ...]]  # Params of the law, and terms of ~/terms
 
 
 class Controller(Managed):
     """Reads `spool_position`, `spool_command`, `spool_trajectory`, publishes `valve_voltage` and `~/state`.
 
-    ``warms``: whether it warms the CPU's caches before each reading; the process has this valve alone.
-    ``alone``: whether the process has no other node.
+    ``alone``: whether the process has no other node; ``single``: whether it has no other valve, whose samples
+    would warm the CPU's caches.
     """
 
     table = CONTROLLER
     told = -NEVER  # s, when one of the process's controllers last told a change
 
-    def __init__(self, warms: bool = True, alone: bool = True, **options: Any) -> None:
+    def __init__(self, single: bool = True, alone: bool = True, **options: Any) -> None:
         super().__init__("controller", **options)
         self._journal = Journal()
         self._supervisor = Supervisor(self._journal.note)
-        self._warming = CacheWarming() if warms else None
+        self._single = single
         self._said: tuple[Mode, str] | None = None
         self._announced: dict[str, float] = {}  # s, when a change was last told, by source
         self._tell_at = NEVER  # s, when it is this valve's turn to tell one
-        self._readings: NumberSubscription | None = None
         self._lockstep: Lockstep | None = None
         self._in_lockstep = False
         self._watch_at = NEVER
@@ -135,7 +127,7 @@ class Controller(Managed):
         if refusal := self._supervisor.period_refusal(parameter.number(values, "sample_period")):
             raise ParameterError(refusal)
         chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
-        return Built(build.law_params(values, self._values), realtime.request(values), named_terms(chosen))
+        return build.law_params(values, self._values), realtime.request(values), named_terms(chosen)
 
     def _apply(self, values: Values, built: Built) -> None:
         params, wanted, terms = built
@@ -147,8 +139,9 @@ class Controller(Managed):
         self._journal_topics.apply(parameter.number(values, "memory_period"))
         if values["lockstep"] != self._in_lockstep:
             self._in_lockstep = values["lockstep"] is True
-            if self._readings is not None:
-                self._unsubscribe()
+            if self.configured:
+                for topic in (self._readings, self._commands, self._trajectories):
+                    topic.destroy()
                 self._subscribe()
             if self.working and not self._in_lockstep:  # whoever gave readings may have ended
                 self._seen = time.monotonic()
@@ -164,8 +157,6 @@ class Controller(Managed):
             realtime.obtain(wanted, self.get_logger().warning)
         self._unchecked = True
         self._journal_topics.publish()
-        if self._warming is not None:
-            self._warming.apply(values, params)
 
     # Life
 
@@ -192,25 +183,14 @@ class Controller(Managed):
         """Readings of the LVDT with their numbers."""
         return NumberSubscription(self, "spool_position", qos)
 
-    def _unsubscribe(self) -> None:
-        assert self._readings is not None
-        self._readings.destroy()
-        self._commands.destroy()
-        self._trajectories.destroy()
-
     def close(self) -> None:
         """Destroy publishers and subscriptions."""
-        self._unsubscribe()
         self._rivals.listen(False, self._period)
-        self.destroy_publisher(self._voltages)
-        self._telemetry.close()
-        self._journal_topics.close()
-        self._readings = None
+        super().close()
 
     def begin(self) -> None:
         """Start from rest; messages that already wait are stale and dropped, but not in lockstep."""
         self._rivals.begin()
-        assert self._readings is not None
         if not self._in_lockstep:
             for topic in (self._readings, self._commands, self._trajectories):
                 for _ in topic.take():
@@ -222,8 +202,6 @@ class Controller(Managed):
         self._watch_at = NEVER if self._in_lockstep else self._seen + REMIND
         self._warm_at = self._tell_at = NEVER
         self._pace = None if self._in_lockstep else rate.UNKNOWN
-        if self._warming is not None:
-            self._warming.start()
         self._catching_up = False
         self._timing.clear()
         for sentence in REFUSED:
@@ -243,7 +221,7 @@ class Controller(Managed):
 
     def deliver(self) -> None:
         """Wait until the last 0 V is acknowledged; not in ``end``, where other valves would have to wait."""
-        if self._readings is not None:
+        if self.configured:
             for publisher in (self._voltages, self._journal_topics.publisher):
                 publisher.wait_for_all_acked(Duration(seconds=LAST_WORD))
 
@@ -251,7 +229,7 @@ class Controller(Managed):
 
     def inputs(self) -> Sequence[PolledSubscription]:
         """Subscription of the LVDT; in lockstep those of commands while a reading waits for one."""
-        if not self.working or self._readings is None:
+        if not self.working:
             return ()
         if self._lockstep is None or self._lockstep.waiting is None:
             return (self._readings,)
@@ -264,7 +242,7 @@ class Controller(Managed):
 
     def work(self) -> bool:
         """Answer each waiting reading, or warm caches for the next; without a reading in time, switch off."""
-        if not self.working or self._readings is None:
+        if not self.working:
             return False
         tells = time.monotonic() >= self._tell_at  # in ``report``, which follows
         if tells:
@@ -281,7 +259,9 @@ class Controller(Managed):
             worked = True
         now = time.monotonic()
         if self._warm_at <= now < self._watch_at and not worked:
-            self._warm_caches()
+            self._warm_at = NEVER
+            self._take_commands()
+            self._supervisor.rehearse()
         if now >= self._watch_at and not worked:
             self._warm_at = NEVER
             self._catching_up = self._stood_still(now)
@@ -310,7 +290,7 @@ class Controller(Managed):
     def _may_tell(self, safe: bool, of: str = "supervisor") -> bool:
         """Whether it is time to tell a change ``of`` something; if it is, it counts as told."""
         now = time.monotonic()
-        if self._warming is None and now < Controller.told + TURNS[safe]:
+        if not self._single and now < Controller.told + TURNS[safe]:
             self._tell_at = Controller.told + TURNS[safe]
             return False
         if now < self._announced.get(of, -NEVER) + QUIET and not safe:
@@ -348,7 +328,7 @@ class Controller(Managed):
         self._timing.note(began, ended, latency, self._period)
         self._rivals.answered(began)
         if not self._in_lockstep:
-            if self._warming is not None:
+            if self._single:
                 self._warm_at = began + WARMING * self._period
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         self._telemetry.note(self._supervisor)
@@ -367,13 +347,6 @@ class Controller(Managed):
         if pace.level == 2 and before.level < 2:
             self._supervisor.observe("lvdt_missing", rate.text(expected, pace))
         return True
-
-    def _warm_caches(self) -> None:
-        """Take waiting commands, and run a step so that its code is in the caches for the next reading."""
-        assert self._warming is not None
-        self._warm_at = NEVER
-        self._take_commands()
-        self._warming.warm(self._supervisor)
 
     def _elapsed(self, now: float) -> float:
         """Time [s] since the last call."""
@@ -421,7 +394,7 @@ class Controller(Managed):
     # What is around
 
     def _watch_graph(self) -> None:
-        if self._readings is None:
+        if not self.configured:
             return
         self._journal_topics.look()
         counts = {topic: self.count_publishers(topic) for topic in OBSERVED}
@@ -469,35 +442,33 @@ class Controller(Managed):
     # Services
 
     def _on_reset(self, request: Any, response: Any) -> Any:
-        def reset() -> str:
+        with self._answering(response, "not reset"):
             self._supervisor.reset()
-            return "estimates and filters are at their start"
+            response.message = "estimates and filters are at their start"
+        return response
 
-        return self._answered(response, reset, "not reset")
-
-    def _answered(self, response: Any, work: Callable[[], str], otherwise: str) -> Any:
-        """Answer with what ``work`` returns, or with ``otherwise`` and the reason why it did not succeed."""
+    @contextmanager
+    def _answering(self, response: Any, otherwise: str) -> Iterator[None]:
+        """Tell whether the block succeeds; if not, answer with ``otherwise`` and the reason."""
         try:
-            response.message, response.success = work(), True
+            yield
+            response.success = True
             self.get_logger().info(response.message)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             response.message, response.success = outputs.printable(f"{otherwise}: {reason}"), False
             self.get_logger().warning(response.message)
-        return response
 
     def _on_save(self, request: Any, response: Any) -> Any:
         name = word(self._values, "save_file")
-
-        def save() -> str:
+        with self._answering(response, f"{name} cannot be written"):
             path = inputs.expanded(name, "save_file").absolute()
             ros_file.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
-            return f"wrote {outputs.shown(path)}"
-
-        return self._answered(response, save, f"{name} cannot be written")
+            response.message = f"wrote {outputs.shown(path)}"
+        return response
 
     def _on_load(self, request: Any, response: Any) -> Any:
-        def load() -> str:
+        with self._answering(response, "no parameter changed"):
             name = word(self._values, "load_file") or word(self._values, "save_file")
             path = inputs.expanded(name, "parameter file").absolute()
             values = arguments.addressed(str(path), self.get_fully_qualified_name(), self.table)
@@ -507,9 +478,9 @@ class Controller(Managed):
                 result = self.set_parameters_atomically(wanted)
                 if not result.successful:
                     raise ParameterError(f"{path}: {result.reason}")
-            return f"{len(values)} parameters from {outputs.shown(path)}, of which {len(changes)} changed"
-
-        return self._answered(response, load, "no parameter changed")
+            count = f"{len(values)} parameters from {outputs.shown(path)}"
+            response.message = f"{count}, of which {len(changes)} changed"
+        return response
 
     # What is said
 
@@ -547,7 +518,7 @@ class Controller(Managed):
     def _status(self) -> tuple[bytes, str]:
         """Level and sentence of the diagnostics."""
         if not self.working:
-            return DiagnosticStatus.OK, "inactive" if self._readings is not None else "unconfigured"
+            return DiagnosticStatus.OK, "inactive" if self.configured else "unconfigured"
         if self._rivals.stands_by:
             return DiagnosticStatus.ERROR, f"{STANDS_BY}; {self._supervisor.reason}"
         return LEVELS[self._supervisor.mode], self._supervisor.reason

@@ -58,7 +58,6 @@ class DeviceController(DeviceNode, Controller):
     live = frozenset(LIVE | OWN - {"sample_period"})
 
     def __init__(self, **options: Any) -> None:
-        self._alone = options.get("warms", True)
         self._ready_at = 0.0  # s, from when on the next reading is waited for
         self._asked_at = 0.0  # s, when it was last asked for
         self._begun = False
@@ -69,7 +68,7 @@ class DeviceController(DeviceNode, Controller):
 
     def _build(self, values: Values) -> Built:
         self.refuse_changes(values)
-        if not drivers.device(values).polled and not self._alone:
+        if not drivers.device(values).polled and not self._single:
             raise ParameterError(
                 f"driver is '{values['driver']}', which waits for its device and would hold up the other "
                 "valves of the process; give this valve a controller of its own"
@@ -95,11 +94,6 @@ class DeviceController(DeviceNode, Controller):
         assert self._device is not None
         self._from_device = DeviceReadings(self._device)
         return self._from_device
-
-    def close(self) -> None:
-        """Destroy publishers and subscriptions, close the device."""
-        super().close()
-        self.destroy_publisher(self._positions)
 
     def begin(self) -> None:
         """Start from rest; the output is switched on when the loop runs."""

@@ -8,17 +8,18 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from valve_control.nodes.loop import Worker
 from valve_control.nodes.rclpy_internals import RCLError
+from valve_control.nodes.services import Unwatched
 
 
 class Managed(LifecycleNode, Worker):
     """Lifecycle node with the states unconfigured, inactive and active.
 
-    ``open`` and ``close`` make and destroy publishers and subscriptions, ``begin`` and ``end`` bracket the
+    ``open`` creates publishers and subscriptions, which ``close`` destroys. ``begin`` and ``end`` bracket the
     time in which the node works.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
-        self.working = False
+        self.working = self.configured = False
         super().__init__(name, **options)
         # A transition that does not exist from the present state would end the process otherwise.
         answer = self._service_change_state.callback
@@ -45,7 +46,12 @@ class Managed(LifecycleNode, Worker):
         """Create publishers and subscriptions."""
 
     def close(self) -> None:
-        """Destroy publishers and subscriptions."""
+        """Destroy the publishers and polled subscriptions that were created since ``open``."""
+        for publisher in {*self.publishers} - self._lasting:
+            self.destroy_publisher(publisher)
+        for subscription in {*self.subscriptions} - self._lasting:
+            if isinstance(subscription.callback_group, Unwatched):
+                self.destroy_subscription(subscription)
 
     def begin(self) -> None:
         """Start working."""
@@ -55,7 +61,9 @@ class Managed(LifecycleNode, Worker):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Transition from unconfigured to inactive."""
+        self._lasting = {*self.publishers, *self.subscriptions}
         self.open()
+        self.configured = True
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -73,6 +81,7 @@ class Managed(LifecycleNode, Worker):
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Transition from inactive to unconfigured."""
         self.close()
+        self.configured = False
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:

@@ -155,7 +155,10 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
         nodes = make()
         reception = Reception(nodes)
         chores += [Chores(node) for node in nodes]
-        _read_sources()
+        # rclpy looks up the source of each line that logs, the first of a file in 15 ms.
+        for name, module in list(sys.modules.items()):
+            if name == "__main__" or name.startswith(("valve_control.nodes", "rclpy.impl")):
+                linecache.getlines(getattr(module, "__file__", None) or "")  # __main__ of a fork has none
         # A collection of everything that the imports brought takes tens of milliseconds, many samples.
         gc.collect()
         gc.freeze()
@@ -182,13 +185,6 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
     return status
 
 
-def _read_sources() -> None:
-    """Read the files that log: rclpy looks up the source of each line, the first of a file in 15 ms."""
-    for name, module in list(sys.modules.items()):
-        if name == "__main__" or name.startswith(("valve_control.nodes", "rclpy.impl")):
-            linecache.getlines(getattr(module, "__file__", None) or "")  # __main__ of a fork has none
-
-
 class Chores:
     """Runs a node's timers itself, all else that is not polled with the standard executor, one at a time."""
 
@@ -206,17 +202,12 @@ class Chores:
                 call_timer(timer)
                 return True
         now = time.monotonic()
-        if now < self._look_at and not self._hears():
+        answered = any(True for _ in self.node.clients)  # or messages, which the executor may hand out
+        unwatched = all(isinstance(one.callback_group, Unwatched) for one in self.node.subscriptions)
+        if now < self._look_at and unwatched and not answered:
             return False
         self._look_at = now + EVENTS[calm]
         return self._executed()
-
-    def _hears(self) -> bool:
-        """Whether the executor may have answers or messages to hand out."""
-        subscriptions = self.node.subscriptions
-        return any(True for _ in self.node.clients) or not all(
-            isinstance(subscription.callback_group, Unwatched) for subscription in subscriptions
-        )
 
     def _executed(self) -> bool:
         try:
@@ -302,11 +293,6 @@ class Turns:
         return False
 
 
-def _one_piece(nodes: Sequence[Any]) -> bool:
-    """Do one piece of what is not urgent; whether there was one."""
-    return any(next(node.pieces, node) is not node for node in nodes)
-
-
 def _loop(nodes: Sequence[Any], chores: Sequence[Chores], reception: Reception) -> None:
     inputs, turns = Inputs(nodes), Turns(nodes, chores)
     sampled = time.monotonic()
@@ -325,7 +311,7 @@ def _loop(nodes: Sequence[Any], chores: Sequence[Chores], reception: Reception) 
             node.report()
         if worked:
             sampled = now
-        if worked and _one_piece(nodes):
+        if worked and any(next(node.pieces, node) is not node for node in nodes):  # one piece was done
             continue
         if calm:
             for node in nodes:

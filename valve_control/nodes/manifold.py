@@ -55,23 +55,14 @@ class Manifold(Worker):
 
     def __init__(self) -> None:
         super().__init__("manifold")
-        self._values: Values = {}
-        ParameterSet(self, MANIFOLD, self._fixed, self._apply, alone=False)
-
-    def _fixed(self, values: Values) -> list[str]:
-        if self._values and values != self._values:
-            raise ParameterError("the valves of a running manifold do not change; start it again")
-        return names(values)
-
-    def _apply(self, values: Values, valves: list[str]) -> None:
-        self._values = values
+        fixed = {parameter.name for parameter in MANIFOLD}
+        self._settings = ParameterSet(self, MANIFOLD, names, alone=False, fixed=fixed)
 
     def host(self) -> list[Any]:
         """Create the nodes of all valves."""
-        kind = word(self._values, "node")
+        kind, valves = word(self._settings.values, "node"), self._settings.built
         space = self.get_namespace().rstrip("/")
         made = []
-        valves = names(self._values)
         hosts = [f"{space}/{name}/{kind}" for name in valves]
         kind_of_node, table = KINDS[kind], NODES[kind]
         if kind == "controller" and _beside(hosts):
@@ -79,8 +70,7 @@ class Manifold(Worker):
 
             kind_of_node, table = DeviceController, DeviceController.table
         admit(self, {self.get_fully_qualified_name(): MANIFOLD, **dict.fromkeys(hosts, table)})
-        # What one valve's samples bring into the caches serves the others too.
-        own = {"warms": len(valves) == 1} if kind == "controller" else {}
+        own = {"single": len(valves) == 1} if kind == "controller" else {}
         for name in valves:
             made.append(kind_of_node(alone=False, cli_args=remapped(f"{space}/{name}/{kind}"), **own))
         self.get_logger().info(f"{len(made)} x {kind}: {', '.join(valves)}")

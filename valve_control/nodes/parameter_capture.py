@@ -3,7 +3,7 @@
 """Captures all nodes' parameters for a recording: asks each node once, then follows its changes."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
 from typing import Any
 
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType
@@ -26,41 +26,33 @@ class Question:
         self._node = node
         self._list = node.create_client(ListParameters, f"{name}/list_parameters")
         self._get = node.create_client(GetParameters, f"{name}/get_parameters")
-        self._client = self._list
-        self._request: Any = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
-        self._future: Any = None
-        self._asked = 0.0
-        self._seen: float | None = None  # since when the servers are there
+        self._missed_at = time.monotonic()  # s, when one of the servers was not there
+        self.answer = self._parameters()  # at each step None, or the parameters once they have come
         self.events: list[ParameterEvent] = []  # changes since the beginning
 
-    def answer(self) -> list[Parameter] | None:
-        """The parameters, once they have come."""
-        now = time.monotonic()
-        if self._future is None or (not self._future.done() and now > self._asked + ASK_AGAIN):
-            if not (self._list.service_is_ready() and self._get.service_is_ready()):
-                self._seen = None
-                return None
-            if self._seen is None:
-                self._seen = now
-            if now < self._seen + ACQUAINT:
-                return None
-            if self._future is not None:
-                self._client.remove_pending_request(self._future)
-            self._future = self._client.call_async(self._request)
-            self._asked = now
-        if not self._future.done():
-            return None
-        result = self._future.result()
-        self._future = None
-        if self._client is self._list:
-            self._client = self._get
-            self._request = GetParameters.Request(names=result.result.names)
-            return None
-        return [
+    def _parameters(self) -> Iterator[list[Parameter] | None]:
+        depth = ListParameters.Request.DEPTH_RECURSIVE
+        listed = yield from self._answered(self._list, ListParameters.Request(depth=depth))
+        names = listed.result.names
+        got = yield from self._answered(self._get, GetParameters.Request(names=names))
+        yield [
             Parameter(name=name, value=value)
-            for name, value in zip(self._request.names, result.values, strict=False)
+            for name, value in zip(names, got.values, strict=False)
             if value.type != ParameterType.PARAMETER_NOT_SET
         ]
+
+    def _answered(self, client: Any, request: Any) -> Generator[None, None, Any]:
+        future, ask_at = None, 0.0
+        while future is None or not future.done():
+            now = time.monotonic()
+            if not (self._list.service_is_ready() and self._get.service_is_ready()):
+                self._missed_at = now
+            if now >= max(ask_at, self._missed_at + ACQUAINT):
+                if future is not None:
+                    client.remove_pending_request(future)
+                future, ask_at = client.call_async(request), now + ASK_AGAIN
+            yield
+        return future.result()
 
     def destroy(self) -> None:
         """Stop asking."""
@@ -98,14 +90,13 @@ class ParameterCapture:
         self._lives = lives
 
     def _forget(self, name: str) -> None:
-        question = self._questions.pop(name, None)
-        if question is not None:
+        if question := self._questions.pop(name, None):
             question.destroy()
 
     def collect(self) -> None:
         """Write the answers that have come."""
         for name, question in list(self._questions.items()):
-            parameters = question.answer()
+            parameters = next(question.answer)
             if parameters is None:
                 continue
             values = {parameter.name: parameter for parameter in parameters}

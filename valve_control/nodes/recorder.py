@@ -8,7 +8,8 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from itertools import accumulate, count
+from heapq import merge
+from itertools import count
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, TypeVar
@@ -137,22 +138,12 @@ def wanted(profiles: Sequence[QoSProfile]) -> tuple[ReliabilityPolicy, Durabilit
     )
 
 
-def usual_type(name: str) -> str | None:
-    """Type with which this package's nodes use the topic ``name``, None if they do not use it."""
-    return next((kind for pattern, kind in CASCADE.items() if re.fullmatch(pattern, name)), None)
-
-
 def merged(queues: Sequence[Sequence[T]]) -> list[T]:
     """Entries of several queues by the time at their beginning, each queue's in its order.
 
     A clock that is set back while they wait does not turn a queue's order around.
     """
-    keyed = []
-    for queue in queues:
-        latest = accumulate((entry[0] for entry in queue), max)
-        keyed += list(zip(latest, queue, strict=True))
-    keyed.sort(key=itemgetter(0))
-    return [entry for _, entry in keyed]
+    return list(merge(*queues, key=itemgetter(0)))
 
 
 class Recorded:
@@ -215,8 +206,8 @@ class Recorder(Worker):
 
     def __init__(self) -> None:
         super().__init__("recorder")
-        self._values: Values = {}
-        ParameterSet(self, RECORDER, self._fixed, self._apply)
+        fixed = {parameter.name for parameter in RECORDER}
+        self._settings: Settings = ParameterSet(self, RECORDER, settings, fixed=fixed).built
         use = self._settings
         self._topics: dict[str, Recorded] = {}
         self._left_out: set[str] = set()
@@ -240,15 +231,6 @@ class Recorder(Worker):
         self._flush_at = now + use.flush_period
         self._status_at = now
         self.get_logger().info(f"records into {outputs.shown(use.folder)}")
-
-    def _fixed(self, values: Values) -> Settings:
-        if self._values and values != self._values:
-            raise ParameterError("the parameters of a running recorder do not change; start it again")
-        return settings(values)
-
-    def _apply(self, values: Values, built: Settings) -> None:
-        self._values = values
-        self._settings = built
 
     # Work
 
@@ -382,7 +364,7 @@ class Recorder(Worker):
         A topic of theirs that nobody publishes with their type waits, unless the user chose the topics.
         """
         types = Counter(info.topic_type for info in infos)
-        usual = usual_type(name)
+        usual = next((kind for pattern, kind in CASCADE.items() if re.fullmatch(pattern, name)), None)
         if usual is not None and (usual in types or not self._settings.chosen):
             return usual
         return types.most_common(1)[0][0] if types else ""

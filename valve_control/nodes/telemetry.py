@@ -29,9 +29,7 @@ class Telemetry:
         self._chosen: Sequence[str] = ()
         self._every = 0
         self._samples: list[list[float]] = []  # to be published
-        self._states: Any = None
         self.terms: dict[str, Any] = {}  # publishers, by name
-        self._named: list[tuple[int, Any]] = []  # place in a sample, publisher
 
     def apply(self, labels: tuple[str, ...], chosen: Sequence[str], every: int) -> None:
         """Numbers with the ``labels`` follow, the ``chosen`` ones on topics of their own; 0: none of them."""
@@ -40,21 +38,14 @@ class Telemetry:
             self._labels = labels
             dim = [MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
             self._head = head(Float64MultiArray(layout=MultiArrayLayout(dim=dim)), len(labels))
-        if self._states is not None:
+        if self._node.configured:
             self._name()
 
     def open(self) -> None:
         """Create the publishers."""
         self._states = self._node.create_publisher(Float64MultiArray, "~/state", SAMPLES)
-        self._name()
-
-    def close(self) -> None:
-        """Destroy the publishers."""
-        for publisher in (self._states, *self.terms.values()):
-            self._node.destroy_publisher(publisher)
-        self._states = None
         self.terms.clear()
-        self._named = []
+        self._name()
 
     def _name(self) -> None:
         """Have a publisher for each chosen term, and know where the law in force has it."""
@@ -63,6 +54,7 @@ class Telemetry:
         for name in self._chosen:
             if name not in self.terms:
                 self.terms[name] = self._node.create_publisher(Float64, f"~/terms/{name}", SAMPLES)
+        # place in a sample, publisher
         self._named = [(self._labels.index(n), p) for n, p in self.terms.items() if n in self._labels]
 
     def note(self, supervisor: Supervisor) -> None:
@@ -92,8 +84,6 @@ class JournalTopics:
         self._accounted = -math.inf  # s, last snapshot
         self._readers = 0
         self._greeting = 0  # parts of the journal that still bring a snapshot
-        self._memories: Any = None
-        self.publisher: Any = None  # of the rows, None while the node is not configured
 
     def apply(self, period: float) -> None:
         """Take the ``period`` [s] of the snapshots into use."""
@@ -104,12 +94,6 @@ class JournalTopics:
         self._memories = self._node.create_publisher(String, "~/memory", SAMPLES)
         self.publisher = self._node.create_publisher(Float64MultiArray, "~/journal", SAMPLES)
         self._readers = self._greeting = 0
-
-    def close(self) -> None:
-        """Destroy the publishers."""
-        for publisher in (self._memories, self.publisher):
-            self._node.destroy_publisher(publisher)
-        self._memories = self.publisher = None
 
     def _count_readers(self) -> int:
         return int(self.publisher.get_subscription_count() + self._memories.get_subscription_count())
@@ -132,7 +116,7 @@ class JournalTopics:
 
     def publish(self) -> None:
         """Publish the waiting rows, and a snapshot when its time has come."""
-        if self.publisher is None:
+        if not self._node.configured:
             return
         rows = self._journal.take()
         if self._period == 0.0 or self._count_readers() == 0:

@@ -54,7 +54,6 @@ class ValveDriver(DeviceNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("valve_driver", **options)
-        self._voltages: NumberSubscription | None = None
         self._next = NEVER
         self._begun = False
         self._on = False  # the output, as the parameter enable has it
@@ -101,17 +100,8 @@ class ValveDriver(DeviceNode):
         self._voltages = NumberSubscription(self, "valve_voltage", NEWEST)
         self._positions = self.create_publisher(Float64, "spool_position", SAMPLES)
 
-    def close(self) -> None:
-        """Destroy publisher and subscription, close the device."""
-        assert self._voltages is not None
-        self._voltages.destroy()
-        self._voltages = None
-        self.destroy_publisher(self._positions)
-        super().close()
-
     def begin(self) -> None:
         """Drop voltages that wait; the output is switched on at 0 V when the loop runs."""
-        assert self._voltages is not None
         for _ in self._voltages.take():
             pass
         self._quiet = 0
@@ -138,7 +128,7 @@ class ValveDriver(DeviceNode):
 
     def inputs(self) -> Sequence[NumberSubscription]:
         """Subscription of the voltage, while one is waited for."""
-        return (self._voltages,) if self.working and self._voltages is not None else ()
+        return (self._voltages,) if self.working else ()
 
     def due(self) -> float:
         """Time [s] from which the next reading is waited for without a voltage."""
@@ -176,7 +166,7 @@ class ValveDriver(DeviceNode):
 
     def _take_voltage(self) -> bool:
         """Give the newest voltage that has come; returns whether one has."""
-        assert self._voltages is not None and self._device is not None
+        assert self._device is not None
         waiting = [voltage for voltage, _ in self._voltages.take()]
         if not waiting:
             return False
@@ -231,17 +221,14 @@ class ValveDriver(DeviceNode):
 
     def _on_enable(self, request: Any, response: Any) -> Any:
         (result,) = self.set_parameters([Parameter("enable", value=bool(request.data))])
-        faults = [c.text for c in self._device_conditions() if c.level == "safe"]
+        device = self._device if self.working and self._begun else None
+        faults = [c.text for c in (device.conditions() if device else ()) if c.level == "safe"]
         response.success = result.successful and not faults
         told = "output on" if request.data else "output off"
         if request.data and not self.working:
             told = "the node is not active: the output comes on when it is"
         response.message = result.reason or "; ".join(faults) or told
         return response
-
-    def _device_conditions(self) -> tuple[Condition, ...]:
-        """Conditions of the device once the output has been switched; none before."""
-        return self._device.conditions() if self._device and self.working and self._begun else ()
 
     def _diagnose(self) -> None:
         level, text = DiagnosticStatus.OK, "driving"
@@ -289,7 +276,7 @@ def check(arguments: Sequence[str]) -> int:
         return 2
     try:
         node = Node("valve_driver", enable_rosout=False, start_parameter_services=False)
-        values = ParameterSet(node, VALVE_DRIVER, drivers.sides, lambda values, sides: None).values
+        values = ParameterSet(node, VALVE_DRIVER, drivers.sides).values
         device = drivers.device(values)
         tried = trial.run(device)
     except (ParameterError, DriverError) as error:

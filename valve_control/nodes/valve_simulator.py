@@ -5,7 +5,7 @@
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import registry
 from valve_control.control.plant.amplifier import saturate
-from valve_control.control.plant.plant import Plant
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     SAMPLES,
@@ -47,15 +46,6 @@ SLOPES = {"flipped": -1.0, "half": 0.5}  # of an LVDT
 NEVER = math.inf
 
 
-def _stepping(plant: Plant, params: Any) -> Callable[[Any, Any, float], Any]:
-    """Step of ``plant``, compiled and run once with ``params`` if it is too long for plain Python."""
-    step: Callable[[Any, Any, float], Any] = plant.module.step
-    if plant.compiled:
-        step = compile_function(step)
-        step(params, plant.module.initial(params), 0.0)
-    return step
-
-
 class ValveSimulator(Managed):
     """Reads `valve_voltage`, publishes `spool_position` once per sample period.
 
@@ -77,7 +67,6 @@ class ValveSimulator(Managed):
         self._step: Any = None
         self._state: Any = None
         self._period = 0.0
-        self._voltages: NumberSubscription | None = None
         self._next = NEVER
         self._voltage = 0.0
         self._heard = False  # whether a voltage has ever come
@@ -120,7 +109,10 @@ class ValveSimulator(Managed):
         self._lockstep = values["clock"] == "lockstep"
         before, self._plant = self._plant, registry.plant_of(self._params)
         if self._plant is not before:
-            self._step = _stepping(self._plant, self._params)
+            self._step = self._plant.module.step
+            if self._plant.compiled:  # it is too long for plain Python
+                self._step = compile_function(self._step)
+                self._step(self._params, self._plant.module.initial(self._params), 0.0)
         if self._state is None or former is None:
             self._rest()
         elif self._plant is not before:
@@ -169,18 +161,8 @@ class ValveSimulator(Managed):
         self._positions = self.create_publisher(Float64, "spool_position", SAMPLES)
         self._clock_publisher: Any = None
 
-    def close(self) -> None:
-        """Destroy publishers and subscriptions."""
-        assert self._voltages is not None
-        self._voltages.destroy()
-        self._voltages = None
-        self.destroy_publisher(self._positions)
-        if self._clock_publisher is not None:
-            self.destroy_publisher(self._clock_publisher)
-
     def begin(self) -> None:
         """Start from rest."""
-        assert self._voltages is not None
         for _ in self._voltages.take():
             pass
         self._rest()
@@ -192,7 +174,7 @@ class ValveSimulator(Managed):
 
     def inputs(self) -> Sequence[NumberSubscription]:
         """Subscription of the voltage in lockstep; on the wall clock none, the next sample is on time."""
-        return (self._voltages,) if self.working and self._lockstep and self._voltages is not None else ()
+        return (self._voltages,) if self.working and self._lockstep else ()
 
     def due(self) -> float:
         """Time [s] of the next sample, or in lockstep of the next look for a missing party."""
@@ -270,7 +252,7 @@ class ValveSimulator(Managed):
             assert self._sent is not None
             self._asked |= self._there
             self._counts["resent"] += 1
-            self._publish(self._sent)
+            self._positions.publish(encoded(self._sent))
         return new
 
     def _advance(self) -> None:
@@ -280,7 +262,7 @@ class ValveSimulator(Managed):
             self._state = self._state._replace(x=before.x._replace(x1=0.0))
 
     def _send(self) -> None:
-        reading = self._plant.module.read(self._params, self._state, self._noise())
+        reading = self._plant.module.read(self._params, self._state, float(self._random.standard_normal()))
         fault = self._fault[0]
         if fault == "lost":
             self._positions.publish(CORRUPT)
@@ -299,19 +281,12 @@ class ValveSimulator(Managed):
             elif fault in SLOPES:
                 reading *= SLOPES[fault]
             self._sent = reading
-            self._publish(reading)
+            self._positions.publish(encoded(reading))
         self._samples += 1
         if self._fault_left > 0:
             self._fault_left -= 1
             if self._fault_left == 0:
                 self.set_parameters([Parameter(f"fault.{part}", value="none") for part in ("lvdt", "valve")])
-
-    def _noise(self) -> float:
-        """Standard normal number for the noise of this sample's reading."""
-        return float(self._random.standard_normal())
-
-    def _publish(self, reading: float) -> None:
-        self._positions.publish(encoded(reading))
 
     def _take_voltage(self) -> None:
         """Take the voltage of the last sample; wait for it if the controller answered until now."""
@@ -336,7 +311,6 @@ class ValveSimulator(Managed):
             self._diagnose()
 
     def _poll_voltage(self) -> bool:
-        assert self._voltages is not None
         arrived = False
         for voltage, _ in self._voltages.take():
             arrived = True
@@ -362,7 +336,7 @@ class ValveSimulator(Managed):
         }
         level, text = DiagnosticStatus.OK, "simulating"
         if not self.working:
-            text = "inactive" if self._voltages is not None else "unconfigured"
+            text = "inactive" if self.configured else "unconfigured"
         elif self._centring:
             level, text = DiagnosticStatus.ERROR, "no voltage: 0 V, the spring centres the spool"
         elif self._fault != ("none", "none"):

@@ -20,39 +20,40 @@ class LimitCycle(NamedTuple):
     end: float  # s
 
 
-def survey(p: oscillation.Params, voltage: Floats, command: Floats, longest: Floats) -> None:
-    """Step through all samples; ``longest`` receives frequency [Hz], amplitude [V], start and end [s]."""
-    s = oscillation.NOTHING
-    for k in range(voltage.shape[0]):
-        before = s.cycles
-        s = oscillation.step(p, s, k * p.period, voltage[k], command[k])
-        if (
-            s.cycles != before
-            and oscillation.sustained(s)
-            and s.maximum_time - s.since >= longest[3] - longest[2]
-        ):
-            longest[0] = oscillation.frequency(s)
-            longest[1] = oscillation.amplitude(s)
-            longest[2] = s.since
-            longest[3] = s.maximum_time
+def survey(p: oscillation.Params, voltages: Floats, command: Floats, longest: Floats) -> None:
+    """Step through each row of ``voltages`` (N×n) [V].
+
+    A row of ``longest`` (N×4) receives frequency [Hz], amplitude [V], start and end [s].
+    """
+    for i in range(voltages.shape[0]):
+        s, row = oscillation.NOTHING, longest[i]
+        for k in range(voltages.shape[1]):
+            before = s.cycles
+            s = oscillation.step(p, s, k * p.period, voltages[i, k], command[k])
+            lasts = s.maximum_time - s.since >= row[3] - row[2]
+            if s.cycles != before and lasts and oscillation.sustained(s):
+                row[0], row[1] = oscillation.frequency(s), oscillation.amplitude(s)
+                row[2], row[3] = s.since, s.maximum_time
+
+
+def surveyed(
+    voltages: Floats, command: Floats, period: float, amplitude: float, compiled: bool = True
+) -> Floats:
+    """``longest`` of ``survey`` for cycles of at least ``amplitude`` [V]; 0.0 where there are none."""
+    longest = np.zeros((len(voltages), 4))
+    if amplitude > 0.0 and len(voltages):
+        step = compile_function(survey, nogil=True) if compiled else survey
+        rows = np.ascontiguousarray(voltages), np.ascontiguousarray(command)
+        step(oscillation.Params(amplitude, period), *rows, longest)
+    return longest
 
 
 def limit_cycle(
     voltage: Floats, command: Floats, period: float, amplitude: float, compiled: bool = True
 ) -> LimitCycle | None:
     """The limit cycle of at least ``amplitude`` [V] in ``voltage`` [V] under ``command`` [V], or None."""
-    longest = np.zeros(4)
-    if amplitude > 0.0:
-        step = compile_function(survey) if compiled else survey
-        rows = np.ascontiguousarray(voltage), np.ascontiguousarray(command)
-        step(oscillation.Params(amplitude, period), *rows, longest)
-    return LimitCycle(*map(float, longest)) if longest[0] > 0.0 else None
-
-
-def survey_all(p: oscillation.Params, voltages: Floats, command: Floats, longest: Floats) -> None:
-    """``survey`` of each row of ``voltages`` (N×n), whose ``longest`` is a row of that (N×4)."""
-    for i in range(voltages.shape[0]):
-        survey(p, voltages[i], command, longest[i])
+    (longest,) = surveyed(voltage[None], command, period, amplitude, compiled).tolist()
+    return LimitCycle(*longest) if longest[0] > 0.0 else None
 
 
 def ends_at_rest(voltages: Floats, period: float, amplitude: float) -> Floats:
@@ -60,12 +61,7 @@ def ends_at_rest(voltages: Floats, period: float, amplitude: float) -> Floats:
 
     They are those that ``limit_cycle`` finds, of at least ``amplitude`` [V].
     """
-    longest = np.zeros((len(voltages), 4))
-    if amplitude > 0.0 and len(voltages):
-        p = oscillation.Params(amplitude, period)
-        rows = np.ascontiguousarray(voltages)
-        compile_function(survey_all, nogil=True)(p, rows, np.zeros(rows.shape[1]), longest)
-    return np.where(longest[:, 0] > 0.0, longest[:, 3], 0.0)
+    return surveyed(voltages, np.zeros(voltages.shape[1]), period, amplitude)[:, 3]
 
 
 def in_words(saturated: float, cycle: LimitCycle | None) -> str:

@@ -37,14 +37,7 @@ def places(command: Floats, period: float) -> list[tuple[int, int]]:
 def answer(command: Floats, position: Floats, period: float) -> Answer | None:
     """How ``position`` (…×n) [V] answers the steps of ``command`` (n) [V]; None for one without steps."""
     several = answers(command, position, period)
-    if not several:
-        return None
-    overshoot = np.zeros(position.shape[:-1])
-    settling = np.zeros(position.shape[:-1])
-    for one in several:
-        overshoot = np.maximum(overshoot, one.overshoot)
-        settling = np.maximum(settling, one.settling)
-    return Answer(overshoot, settling)
+    return Answer(*np.max(several, axis=0)) if several else None
 
 
 def answers(command: Floats, position: Floats, period: float) -> list[Answer]:

@@ -109,9 +109,9 @@ def try_out(law: Law, values: Values) -> None:
         units = [(f"range of {free.name}", free.unit(given)) for free in law.free]
         chosen = placed([(free, free.from_share(0.5)) for free in law.free], given)
         told = {name: getattr(terms, name) for name in TERMS}
-    plugins.check_numbers([("step", voltage), *told.items(), *units])
-    plugins.check_types(
+    plugins.check_results(
         [
+            *((name, value, float) for name, value in [("step", voltage), *told.items(), *units]),
             ("build", params, module.Params),
             ("initial", state, module.State),
             ("step", after, module.State),

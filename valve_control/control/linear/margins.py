@@ -10,7 +10,6 @@ sustains (friction_swing.py).
 
 import math
 from collections.abc import Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,7 +61,7 @@ def prepared(given: Sequence[Any]) -> Box:
     periods = {p.period for p in plants}
     if len(periods) != 1:
         raise ValueError(f"the valves of a box have one sample period, not {len(periods)}")
-    omega = _omega(periods.pop())
+    omega = np.geomspace(2.0 * np.pi * LOWEST, np.pi / periods.pop(), FREQUENCIES)
     valves = linear_loop.linear_valves(plants)
     z = np.exp(1j * omega * plants[0].period)
     z[-1] = -1.0
@@ -70,11 +69,6 @@ def prepared(given: Sequence[Any]) -> Box:
     position, response = linear_loop.valve_responses(valves, z)
     own = friction_swing.swings(np.zeros_like(position), position, z, coulomb, presliding)
     return Box(valves, omega, z, position, response, coulomb, presliding, own)
-
-
-@cache
-def _omega(period: float) -> Floats:
-    return np.geomspace(2.0 * np.pi * LOWEST, np.pi / period, FREQUENCIES)
 
 
 def margins(law: Law, params: Any, box: Box) -> Margins:
@@ -86,18 +80,16 @@ def margins(law: Law, params: Any, box: Box) -> Margins:
     compile_function(_sweep, nogil=True)(loop, box.omega, rows)
     gain, reduction, phase, delay, sensitivity, response = rows.T
     swing = friction_swing.swings(loop, box.position, box.z, box.coulomb, box.presliding)
-    by_loop = swing * _blame(swing, box.own_swing)
-    found = Margins(radius, gain, reduction, phase, delay, sensitivity, response, by_loop)
-    return _without_unstable(found)
-
-
-def _blame(swing: Floats, own: Floats) -> Floats:
-    """Share of a ``swing`` [V] for which the loop is to blame, not the valve, which alone has ``own`` [V].
-
-    0 if the loop makes it no larger, 1 from GROWN times as large on.
-    """
+    # A swing is the valve's own if the loop makes it no larger, and all the loop's from GROWN times that on.
+    own = box.own_swing
     grown = np.divide(swing, own, out=np.full_like(swing, np.inf), where=own > 0.0)
-    return np.asarray(np.clip((grown - 1.0) / (GROWN - 1.0), 0.0, 1.0), dtype=float)
+    by_loop = swing * np.clip((grown - 1.0) / (GROWN - 1.0), 0.0, 1.0)
+    found = Margins(radius, gain, reduction, phase, delay, sensitivity, response, by_loop)
+    if_stable = {
+        name: np.where(radius < 1.0 + EDGE, row, np.inf if name in PEAKS else 0.0)
+        for name, row in found._asdict().items()
+    }
+    return Margins(**{**if_stable, "radius": radius})
 
 
 def worst(found: Margins) -> Margins:
@@ -112,14 +104,6 @@ def as_dict(found: Margins, i: int = 0) -> dict[str, float | None]:
     """Margins of valve ``i`` for JSON; without end: None."""
     row = {name: float(values[i]) for name, values in found._asdict().items()}
     return {name: value if np.isfinite(value) else None for name, value in row.items()}
-
-
-def _without_unstable(found: Margins) -> Margins:
-    stable = found.radius < 1.0 + EDGE
-    rows = {
-        name: np.where(stable, row, np.inf if name in PEAKS else 0.0) for name, row in found._asdict().items()
-    }
-    return Margins(**{**rows, "radius": found.radius})
 
 
 def _sweep(loop: Complexes, omega: Floats, rows: Floats) -> None:

@@ -64,9 +64,9 @@ def try_out(plant: Plant, values: Values) -> None:
         like, model = plant.linear(params), plant.model(given)
         numbers = [("read", reading), ("step", after.x.x0), ("step", after.x.x1)]
         numbers += [("build", params.u_max), ("build", params.period)]
-    plugins.check_numbers(numbers)
-    plugins.check_types(
+    plugins.check_results(
         [
+            *((name, value, float) for name, value in numbers),
             ("build", params, module.Params),
             ("step", after, module.State),
             ("linear", like, valve.Params),

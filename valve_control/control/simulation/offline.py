@@ -3,8 +3,7 @@
 """Simulates one whole run offline: law, valve and command as in the nodes, without middleware."""
 
 import types
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -215,25 +214,19 @@ def _ran(
     module = linearisation.module_of(loop.law.module, loop.behind)
     end = at_rest(module, loop.behind, loop.plant, noise[0])
     params = closed_loop.parts(loop.behind, loop.plant)
-    with _timed(signals, loop.plant.period), explained(loop.law.title):
-        for start in range(0, n, PIECE):
-            piece = slice(start, start + PIECE)
-            end = closed_loop.run_valve(
-                module, params, end, led[piece], noise[piece], signals[piece], terms[piece], compiled
-            )
-            if told is not None:
-                told(len(led[piece]))
-    return signals, end
-
-
-@contextmanager
-def _timed(signals: Floats, period: float) -> Iterator[None]:
-    """Add to a LawError in the block when it was raised: at the first sample that ``signals`` do not have."""
     try:
-        yield
+        with explained(loop.law.title):
+            for start in range(0, n, PIECE):
+                piece = slice(start, start + PIECE)
+                end = closed_loop.run_valve(
+                    module, params, end, led[piece], noise[piece], signals[piece], terms[piece], compiled
+                )
+                if told is not None:
+                    told(len(led[piece]))
     except LawError as error:
-        time = np.argmax(np.isnan(signals[:, 0])) * period
+        time = np.argmax(np.isnan(signals[:, 0])) * loop.plant.period  # of the first that is not computed
         raise LawError(f"{error} after {time:.3f} s") from error
+    return signals, end
 
 
 def _unstable(loop: _Loop, values: Values, alone: bool, least: float, compiled: bool) -> list[str]:

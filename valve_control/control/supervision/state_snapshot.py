@@ -33,7 +33,9 @@ def snapshot(supervisor: Supervisor, run: int = 0, row: int = 0) -> str:
     """State of ``supervisor`` before ``row`` of the journal ``run``, with its parameters, as JSON."""
     state = {name: getattr(supervisor.memory, name) for name in KEPT}
     for name in LAW_STATES:
-        state[name] = None if state[name] is None else [_law_of(state[name]), state[name]]
+        if state[name] is not None:
+            owner = next(law for law in LAWS.values() if isinstance(state[name], law.module.State))
+            state[name] = [owner.name, state[name]]
     values = dict(sorted(supervisor.values.items()))
     return json.dumps({"run": run, "row": row, "values": values, "law": supervisor.name, "state": state})
 
@@ -71,10 +73,6 @@ def restore(supervisor: Supervisor, text: str) -> bool:
         **found, jumped_until=jumped, name=before.name, changed=before.changed, counts=before.counts
     )
     return True
-
-
-def _law_of(state: Any) -> str:
-    return next(name for name, law in LAWS.items() if isinstance(state, law.module.State))
 
 
 def _built(kind: Any, value: Any) -> Any:
