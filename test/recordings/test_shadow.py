@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shadow replay against the controller that made the recording."""
 
+import re
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -175,6 +176,16 @@ def test_with_gaps_and_from_the_middle(steps, begin, lost):
     assert np.array_equal(result.voltage[-80:], run.voltages[-80:])
     heard = sum(m.time > first for m in run.messages if m.topic == "/valve_voltage")
     assert heard <= len(result.voltage) or any("not in the part" in text for text in result.left_out)
+
+
+@pytest.mark.parametrize("missing", [0.3, 0.6, 0.9])
+def test_how_much_of_the_journal_is_missing_is_said(tmp_path, missing):
+    run = Run(memory_every=50)
+    run.move(2000)
+    last = run.time - round(missing * 1e9)
+    kept = write(tmp_path / "bag", run.messages, keep=lambda m: "journal" not in m.topic or m.time < last)
+    (note,) = [text for text in shadowed(kept).left_out if "not in the part" in text]
+    assert float(re.search(r"ends ([\d.]+) s before the last", note)[1]) == pytest.approx(missing, abs=0.11)
 
 
 def test_a_controller_that_was_restarted_with_other_parameters(tmp_path):

@@ -1,23 +1,190 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Puts the signals of a valve on one time base and leaves out readings that cannot be used."""
+"""Puts the signals of a valve on one time base and leaves out readings that cannot be used.
+
+Where stamps do not tell what belongs together, readings, voltages and commands are paired by their order: a
+simulated clock often goes on by 10 ms, so ten readings and their ten voltages have one stamp. Their order in
+the file, and where that has topic after topic their order within the stamp, tells the pairs.
+"""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from valve_control.arrays import Floats, Integers
+from valve_control.control.analysis.timing import LATE, true_period
 from valve_control.recordings.bags.bag import Series
 from valve_control.recordings.bags.table import TableFile
-from valve_control.recordings.clocks import MANY, SMALL_DISORDER, leaps
+from valve_control.recordings.clocks import MANY, SMALL_DISORDER, in_order, leaps, shared
 from valve_control.recordings.mapping import Source
-from valve_control.recordings.pairing import Pairs, Samples, by_row, paired
 
 LEAD = ("spool_position", "valve_voltage", "spool_command")  # whose part is chosen where time was set back
 FEW_STAMPS = 3  # from which on a clock is a coarse one
 FALLS = 0.2  # of the numbers that may go back, as of messages out of order
 LARGEST = 1e100  # V  of a number that can be squared
+BOTH = 0.2  # of the voltages that have the stamp of a reading where the clock is coarse
+INTERLEAVED = 0.8  # of the messages of two topics that alternate where their order in the file counts
+SAME_RATE = 0.1  # by which numbers may go on faster or slower than those of the readings, one for each
+DISORDER = 0.01  # of the messages that may be out of order in the file where it counts
+CROSSED = 0.02  # of the voltages that may be recorded before their reading, or behind the next
+WINDOW = 101  # messages whose usual distance to the readings counts for the one in their middle
+PARTS_OF_ROW = ("spool_command", "spool_position", "valve_voltage")  # of a table, in order of time
+LATER = 0.6  # of a period from a reading to the command that was there after it
+
+
+class Samples(NamedTuple):
+    """One signal of a valve in order of time."""
+
+    topic: str
+    time: Integers  # ns, by the clock of the recording
+    log_time: Integers  # ns, when it was recorded
+    sequence: Integers  # numbers of the publisher
+    place: Integers  # among all messages of the bag
+    value: Floats  # V
+
+    def pick(self, chosen: Any) -> "Samples":
+        """Some of the samples, by mask, slice or index."""
+        return Samples(self.topic, *(column[chosen] for column in self[1:]))
+
+
+class Pairs(NamedTuple):
+    """Times of messages whose stamps do not tell what belongs together."""
+
+    lead: str  # topic whose messages the others are paired with, as a rule the readings
+    resolution: float  # s, usual step from one stamp to the next
+    times: dict[str, Integers]  # ns, by part
+    places: Integers  # of the readings, if the order in the file counts
+    vague: list[str]  # parts of which nothing tells between which readings they came
+    crossed: bool  # whether stamps tell all but the order of readings and answers
+
+    def of(self, time: Integers, place: Integers) -> Integers:
+        """Times [ns] of messages with the stamps ``time`` by their ``place`` between the readings."""
+        if not len(self.places):
+            return time
+        known = self.times["spool_position"]
+        moved = known[0] + np.round(np.interp(place, self.places, known - known[0])).astype(np.int64)
+        inside = (place >= self.places[0]) & (place <= self.places[-1])
+        near = inside & (np.abs(moved - time) <= 2e9 * self.resolution)  # not over a gap
+        return np.asarray(np.maximum.accumulate(np.where(near, moved, time)), dtype=np.int64)
+
+
+def paired(signals: Mapping[str, Samples], received: bool = False) -> Pairs | None:
+    """Times of the signals of a valve of which many share their stamps; None if they do not.
+
+    Likewise of times of recording (``received``) that put many voltages before the readings that they answer.
+    Voltages, and commands that are as many as the readings, keep their distance to these in numbers.
+    """
+    readings, voltages = signals.get("spool_position"), signals.get("valve_voltage")
+    if readings is None or len(readings.time) < 2:
+        return None
+    crossed = not _coarse(readings.time, None if voltages is None else voltages.time)
+    if crossed and not (received and voltages is not None and _crossed(readings, voltages)):
+        return None
+    answers = signals.get("valve_voltage", signals.get("spool_command"))
+    several = shared(readings.time)
+    ordered = several and answers is not None and _interleaved(readings.place, answers.place)
+    times = {part: spread(one.time, one.sequence) for part, one in signals.items()}
+    places = np.maximum.accumulate(readings.place) if ordered else readings.place[:0]
+    pairs = Pairs(readings.topic, _resolution(readings.time), times, places, [], crossed)
+    counted, lead = _numbers(readings.sequence), times["spool_position"]
+    period = round(float(np.median(np.diff(lead))))
+    numbers = np.concatenate([[counted[0] - 1], counted, [counted[-1] + 1]])
+    known = np.concatenate([[lead[0] - period], lead, [lead[-1] + period]])
+    for part, one in signals.items():
+        if part == "spool_position" or len(one.time) < MANY:
+            continue
+        keys = (places, one.place) if ordered else (lead, times[part])
+        answer = part == "valve_voltage"
+        # The reading after which a message comes; a command with the key of a reading is there before it.
+        reading = numbers[np.searchsorted(*keys, side="right" if answer else "left")]
+        number = _numbers(one.sequence)
+        among = (reading >= counted[0]) & (reading < counted[-1])
+        ahead, ahead_of_it = (np.ptp(some[among]) if among.any() else 0 for some in (number, reading))
+        if ahead_of_it > 0 and abs(ahead / ahead_of_it - 1.0) < SAME_RATE:
+            reading = number + median_filter(reading - number, WINDOW, mode="mirror")
+            share = np.interp(reading + (0.0 if answer else LATER), numbers, known - known[0])
+            moved = known[0] + np.round(share).astype(np.int64) + answer
+            near = np.abs(moved - times[part]) <= 2e9 * pairs.resolution
+            times[part] = np.maximum.accumulate(np.where(near, moved, times[part]))
+        elif ordered:
+            times[part] = pairs.of(times[part], one.place)
+        elif several:
+            pairs.vague.append(part)
+    return pairs
+
+
+def _coarse(time: Integers, answers: Integers | None) -> bool:
+    """Whether readings at ``time`` [ns] share their stamps, or the ``answers`` have those of readings."""
+    if shared(time) or answers is None or not len(answers):
+        return shared(time)
+    return int(np.count_nonzero(np.isin(answers, time))) > BOTH * min(len(time), len(answers))
+
+
+def _interleaved(place: Integers, other: Integers) -> bool:
+    """Whether the messages of two topics, by their places in the file, alternate as they were sent."""
+    if len(other) == 0 or any(np.mean(np.diff(some) <= 0) > DISORDER for some in (place, other)):
+        return False
+    alternating = len(np.unique(np.searchsorted(np.maximum.accumulate(place), other)))
+    return alternating > INTERLEAVED * min(len(place), len(other))
+
+
+def _crossed(readings: Samples, voltages: Samples) -> bool:
+    """Whether many voltages come beside another reading than their number says, by a steady difference."""
+    if min(len(readings.time), len(voltages.time)) < WINDOW:
+        return False
+    counted, number = _numbers(readings.sequence), _numbers(voltages.sequence)
+    at = np.searchsorted(readings.time, voltages.time, side="right")
+    reading = np.concatenate([[counted[0] - 1], counted])[at]
+    if np.ptp(reading) == 0 or abs(np.ptp(number) / np.ptp(reading) - 1.0) >= SAME_RATE:
+        return False
+    beside = reading - number
+    usual = median_filter(beside, WINDOW, mode="mirror")
+    return float(np.mean(beside != usual)) > CROSSED and float(np.mean(np.diff(usual) != 0)) < CROSSED
+
+
+def by_row(signals: Mapping[str, Samples], table: TableFile) -> Pairs:
+    """Times of the columns of a table: in its row a command is before the reading and a voltage behind it."""
+    times, places, lead = {}, np.empty(0, dtype=np.int64), next(iter(signals.values()))
+    coarse = False
+    for part, one in signals.items():
+        rows, stamps = table.row_times(one.topic)
+        coarse = coarse or shared(stamps)
+        moved = spread(stamps, np.zeros_like(stamps))[np.searchsorted(rows, one.place)]
+        times[part] = moved + PARTS_OF_ROW.index(part) - 1
+        lead = one if part == "spool_position" else lead
+    return Pairs(lead.topic, _resolution(lead.time), times, places, [], not coarse)
+
+
+def _resolution(time: Integers) -> float:
+    """Usual step [s] from one stamp [ns] to the next."""
+    steps = np.diff(time)
+    steps = steps[steps > 0]
+    return float(np.median(steps)) * 1e-9 if len(steps) else 0.0
+
+
+def _numbers(sequence: Integers) -> Integers:
+    """Numbers of the publisher, or from 0 where it has none that are in order."""
+    return sequence if in_order(sequence) else np.arange(len(sequence), dtype=np.int64)
+
+
+def spread(time: Integers, sequence: Integers) -> Integers:
+    """Stamps [ns], in order, spread by number from the first message of a stamp to that of the next."""
+    first = np.flatnonzero(np.diff(time, prepend=time[:1] - 1) > 0)
+    if len(first) < 3 or len(first) == len(time):
+        return time
+    number, anchors = _numbers(sequence), first[1:]  # of the first stamp there may be the last messages only
+    slopes = np.diff(time[anchors]) / np.diff(number[anchors])
+    measured = 1e9 * true_period(time, sequence)
+    period = measured if measured > 0.0 else float(np.median(slopes))
+    # After a pause messages come as soon as before it.
+    slopes = np.append(np.minimum(slopes, LATE * period), period)
+    own = np.searchsorted(anchors, np.arange(len(time)), side="right") - 1
+    before = min(period, (time[anchors[0]] - time[0]) / (number[anchors[0]] - number[0]))
+    at = anchors[np.maximum(own, 0)]
+    moved = np.round((number - number[at]) * np.where(own < 0, before, slopes[own])).astype(np.int64)
+    return np.asarray(time[at] + moved, dtype=np.int64)
 
 
 class Cleaned(NamedTuple):

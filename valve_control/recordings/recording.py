@@ -19,10 +19,9 @@ from valve_control.recordings.bags.bag import Bag, Series
 from valve_control.recordings.bags.cdr import Decoder, deserialized
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.table import TableFile
-from valve_control.recordings.cleaning import clean, seconds
+from valve_control.recordings.cleaning import Samples, clean, seconds
 from valve_control.recordings.clocks import Clock, decide, of_table, without_strays
 from valve_control.recordings.mapping import PARTS, STATE_TYPE, ValveTopics, find_valves
-from valve_control.recordings.pairing import Samples
 
 ESTIMATES = ("a1", "a0", "b0", "b0dn")
 V = TypeVar("V")

@@ -25,8 +25,7 @@ from valve_control.control.supervision.state_snapshot import restore, snapshot
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import ParameterError, defaults, updated
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.cleaning import seconds
-from valve_control.recordings.pairing import Samples
+from valve_control.recordings.cleaning import Samples, seconds
 from valve_control.recordings.recording import ValveRecording
 
 Row = tuple[int, float, float, float, float]  # time [ns], command, reading, recorded and shadow voltage [V]
@@ -273,8 +272,8 @@ class _ByJournal(_Replay):
         if others:
             early, late = (answered[0][0] - heard.time[0]) * 1e-9, (heard.time[-1] - answered[-1][0]) * 1e-9
             self._say(
-                f"{others} of {len(heard.time)} messages on {heard.topic} are not in the part of the journal that "
-                f"is replayed: it begins {max(early, 0.0):.3f} s after the first of them and ends "
+                f"{others} of {len(heard.time)} messages on {heard.topic} are not in the part of the journal "
+                f"that is replayed: it begins {max(early, 0.0):.3f} s after the first of them and ends "
                 f"{max(late, 0.0):.3f} s before the last"
             )
 
