@@ -14,6 +14,7 @@ from valve_control.control.analysis.timing import Spread
 from valve_control.parameter import ParameterError
 
 LONGEST = 1.0  # s
+LEAST = 1e-6  # s  that any test tells
 
 
 class DeadTime(NamedTuple):
@@ -41,7 +42,7 @@ def divided(total: float, sensor: float) -> DeadTime:
 def notes(total: float, sensor: float) -> list[str]:
     """Where a ``total`` dead time [s] is counted, and the error that a wrong choice makes, as a sentence."""
     own = divided(total, sensor)
-    if own.actuator <= 0.0:
+    if own.actuator < LEAST:
         return []
     late = f"{1e3 * own.actuator:.3g} ms"
     return [
