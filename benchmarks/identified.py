@@ -31,6 +31,7 @@ from valve_control.design.identification import (
     friction,
     lvdt,
     rational,
+    theta,
 )
 from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.response import Segment
@@ -89,7 +90,7 @@ def identified(sine: Experiment, triangle: Experiment) -> tuple[Values, friction
         with contextlib.suppress(ParameterError):
             best = rational.choose(measured, order=4)
         model, delay = best.model, best.delay
-    suggested = first_gains.suggest(measured, second, best, U_MAX)
+    suggested = theta.suggest(measured, second, best, U_MAX)
     known = first_gains.KnownValve(model, delay, suggested, lvdt.observe(sine.position), PERIOD, U_MAX, found)
     return first_gains.dcarc_values(known), found, delay
 

@@ -13,7 +13,7 @@ from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
 from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.simulation import batch
-from valve_control.design.identification import bode, first_gains, rational
+from valve_control.design.identification import bode, first_gains, rational, theta
 from valve_control.design.identification.lvdt import Lvdt
 from valve_control.design.identification.response import Response
 from valve_control.parameter import defaults, updated
@@ -32,7 +32,7 @@ def known(model, delay=0.0, noise=0.0056):
     value = bode.held_response(model, f, PERIOD, delay)
     measured = Response(f, value, np.full(30, 1e-4), np.ones(30), PERIOD, "stepped sine", ())
     second = rational.fit(measured, 2)
-    suggested = first_gains.suggest(measured, second, second, U_MAX)
+    suggested = theta.suggest(measured, second, second, U_MAX)
     return first_gains.KnownValve(model, delay, suggested, Lvdt(noise, 0.0037), PERIOD, U_MAX)
 
 
@@ -73,7 +73,7 @@ def test_every_law_settles_on_valves_around_it(model, delay, noise=0.001):
 
 def test_scales_of_the_paper_come_back_on_its_valve():
     """On the valve that the paper's gains belong to, what is carried over is what it was."""
-    start = first_gains.Suggestion(
+    start = theta.Suggestion(
         [20.0, 1200.0, 1200.0, 0.0], [5.0, 500.0, 900.0, -6e3], [150.0, 3e3, 2500.0, 6e3]
     )
     made = first_gains.first(known(FOURTH_ORDER)._replace(theta=start)).values

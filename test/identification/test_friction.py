@@ -11,7 +11,7 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import FOURTH_ORDER
 from valve_control.control.simulation import batch
-from valve_control.design.identification import experiment, first_gains, friction, rational
+from valve_control.design.identification import experiment, first_gains, friction, rational, theta
 from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.lvdt import Lvdt
 from valve_control.parameter import ParameterError, defaults, updated
@@ -83,7 +83,7 @@ def test_friction_taken_off_gives_the_model_back():
         fit = rational.fit(measured, 4)
         missed.append(abs(fit.model.static_gain / FOURTH_ORDER.static_gain - 1.0))
     assert missed[1] < 0.01 < missed[0]
-    suggested = first_gains.suggest(measured, second, fit, U_MAX)
+    suggested = theta.suggest(measured, second, fit, U_MAX)
     lvdt = Lvdt(0.0056, 0.0037)
     known = first_gains.KnownValve(fit.model, 0.0, suggested, lvdt, PERIOD, U_MAX, found)
     values = first_gains.first(known).values

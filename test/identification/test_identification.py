@@ -14,10 +14,10 @@ from valve_control.design.identification import (
     bode,
     datasheet,
     experiment,
-    first_gains,
     rational,
     response,
     result,
+    theta,
 )
 from valve_control.design.identification.response import Response, Segment
 from valve_control.parameter import ParameterError, defaults, updated
@@ -157,7 +157,7 @@ def test_transient_and_noise_are_refused():
 def test_suggested_theta_holds_every_second_order_model_of_the_valve():
     measured = made()
     second, fourth = rational.fit(measured, 2), rational.fit(measured, 4)
-    found = first_gains.suggest(measured, second, fourth, 10.0)
+    found = theta.suggest(measured, second, fourth, 10.0)
     assert np.allclose(found.initial[:3], second.values[[1, 2, 0]], rtol=1e-4) and found.initial[3] == 0.0
     for model in ([58.771, 1657.206, 1502.057], [48.0, 1515.0, 1260.0]):
         assert np.all(np.array(found.lower[:3]) < model) and np.all(model < np.array(found.upper[:3]))

@@ -15,7 +15,7 @@ from valve_control.control.simulation.robustness import Quantity
 from valve_control.design.commissioning.bench import SafetyLimits
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.commissioning.statics import Rest
-from valve_control.design.identification import dead_time, first_gains, rational
+from valve_control.design.identification import dead_time, first_gains, rational, theta
 from valve_control.design.identification.bode import held_response
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
@@ -60,7 +60,7 @@ class Known:
         late = plant.delay > LATE * period
         self.second = rational.fit(exact, 2)
         best = rational.fit(exact, order, zeros, late) if order > 2 else self.second
-        self.theta = first_gains.suggest(exact, self.second, best, u_max)
+        self.theta = theta.suggest(exact, self.second, best, u_max)
 
         delay, m = plant.delay if late else 0.0, plant.magnet
         # Friction of a valve with solenoids, apart from its play; of a linear one the law learns it.

@@ -10,7 +10,7 @@ import scipy.signal
 
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant.models import TransferFunction
-from valve_control.design.identification import first_gains, rational
+from valve_control.design.identification import first_gains, rational, theta
 from valve_control.design.identification.bode import held_response
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
@@ -19,7 +19,7 @@ from valve_control.design.identification.result import Identification
 from valve_control.parameter import (
     Parameter,
     ParameterError,
-    Table,
+    Value,
     Values,
     defaults,
     lookup,
@@ -28,7 +28,7 @@ from valve_control.parameter import (
 )
 
 OF_SIMULATOR = ("sample_period", "u_max", "lvdt.noise", "lvdt.resolution", "lvdt.delay")
-SHEET: Table = (
+SHEET = (  # what a data sheet has
     Parameter("natural_frequency", 0.0, "Hz", "of the spool, where it lags by 90°; or", 0.0, 3000.0),
     Parameter("step_time", 0.0, "s", "from a step of the voltage to 90 % of the way", 0.0, 100.0),
     Parameter("damping", 0.8, "-", "of the spool", 0.01, 100.0),
@@ -68,12 +68,11 @@ def valve(changes: Values) -> Identification:
             "Hz; give a shorter sample_period"
         )
     gain, half = stroke / u_max, 0.005 * hysteresis * u_max  # V/V, V
-    second = model = _model(frequency, damping, gain, 0.0)
-    simulated: Values = {}
-    magnet = None
+    second = model = _model(frequency, damping, gain, coil)
+    simulated, magnet = dict[str, Value](), None
     if coil > 0.0:
         half *= 0.5
-        model, magnet = _model(frequency, damping, gain, coil), first_gains.Magnet(coil, half, 0.01 * more)
+        magnet = first_gains.Magnet(coil, half, 0.01 * more)
         f = np.geomspace(0.05 * frequency, min(5.0 * frequency, 0.4 / period), FREQUENCIES)
         value = held_response(model, f, period)
         exact = Response(f, value, CERTAIN * np.abs(value), np.ones(FREQUENCIES), period, "data sheet", ())
@@ -93,7 +92,7 @@ def valve(changes: Values) -> Identification:
     known = first_gains.KnownValve(
         model=model,
         delay=delay,
-        theta=first_gains.around(second, u_max),
+        theta=theta.around(second, u_max),
         lvdt=Lvdt(number(sheet, "lvdt.noise"), number(sheet, "lvdt.resolution")),
         period=period,
         u_max=u_max,
@@ -109,10 +108,9 @@ def valve(changes: Values) -> Identification:
 def _model(frequency: float, damping: float, gain: float, coil: float) -> TransferFunction:
     """g·ω²/((s² + 2·D·ω·s + ω²)·(T·s + 1)) with ω = 2π·``frequency`` [Hz]; T: ``coil`` [s]."""
     omega = 2.0 * math.pi * frequency
-    below = np.array([1.0, 2.0 * damping * omega, omega**2])
-    scale = 1.0 / coil if coil > 0.0 else 1.0
-    below = np.polymul(below, [1.0, scale]) if coil > 0.0 else below
-    return TransferFunction((gain * omega**2 * scale,), tuple(below.tolist()))
+    lag = [1.0, 1.0 / coil] if coil > 0.0 else [1.0]
+    below = np.polymul([1.0, 2.0 * damping * omega, omega**2], lag).tolist()
+    return TransferFunction((gain * below[-1],), tuple(below))
 
 
 def _frequency(step_time: float, damping: float, coil: float) -> float:

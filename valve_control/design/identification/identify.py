@@ -12,6 +12,7 @@ from valve_control.design.identification import (
     friction,
     lvdt,
     rational,
+    theta,
 )
 from valve_control.design.identification.characteristic import Characteristic
 from valve_control.design.identification.experiment import Experiment
@@ -19,7 +20,7 @@ from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response
 from valve_control.design.identification.result import Identification
-from valve_control.parameter import ParameterError
+from valve_control.parameter import Parameter, ParameterError
 
 SETTLE = 0.4  # s
 ROUNDS = 2  # the friction needs the model, and the model the friction
@@ -35,9 +36,8 @@ class Request(NamedTuple):
 
     def check(self) -> None:
         """Raise ParameterError for what cannot be."""
-        dead_time.check(self.sensor_delay)
-        if not 0.0 <= self.settle < float("inf"):
-            raise ParameterError(f"--settle is {self.settle:g} s; it must be finite and not negative")
+        dead_time.OF_SENSOR.check(self.sensor_delay)
+        Parameter("--settle", SETTLE, "s", "", 0.0, 1e6).check(self.settle)
         low, high = self.band or (1.0, 2.0)
         if not 0.0 < low < high < float("inf"):
             raise ParameterError(f"--band {low:g} {high:g} must be two rising frequencies above 0 Hz")
@@ -125,7 +125,7 @@ def _with_gains(
     known = first_gains.KnownValve(
         model=best.model,
         delay=best.delay,
-        theta=first_gains.suggest(measured, second, best, tested.u_max),
+        theta=theta.suggest(measured, second, best, tested.u_max),
         lvdt=lvdt.observe(tested.position),
         period=measured.period,
         u_max=tested.u_max,
