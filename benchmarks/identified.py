@@ -31,7 +31,6 @@ from valve_control.design.identification import (
     friction,
     lvdt,
     rational,
-    structure,
     theta,
 )
 from valve_control.design.identification.experiment import Experiment
@@ -89,7 +88,7 @@ def identified(sine: Experiment, triangle: Experiment) -> tuple[Values, friction
         measured = experiment.estimate(friction.without(sine, found), 0.4, None)
         second = best = rational.fit(measured, 2)
         with contextlib.suppress(ParameterError):
-            best = structure.choose(measured, order=4)
+            best = rational.choose(measured, order=4)
         model, delay = best.model, best.delay
     suggested = theta.suggest(measured, second, best, U_MAX)
     known = first_gains.KnownValve(model, delay, suggested, lvdt.observe(sine.position), PERIOD, U_MAX, found)

@@ -60,7 +60,7 @@ def test_identified_model_goes_into_simulate(run, tmp_path):
 
 def test_a_valve_of_a_data_sheet_runs_with_every_law(run, tmp_path):
     """The file has the valve as it was given, and each law follows better than the valve alone."""
-    given = ["identify", "--second-order", "18,0.8,1.05", "--set", "lvdt.noise=0.005"]
+    given = ["identify", "--data-sheet", "natural_frequency=18", "full_stroke=10.5", "lvdt.noise=0.005"]
     status, out, err = run(*given, "--output", "valve.yaml", "--json", "r.json")
     assert status == 0 and "-90° at 18.00 Hz" in out, err
     found = json.loads((tmp_path / "r.json").read_text())
@@ -178,7 +178,6 @@ REFUSED = [
     ("identify --scenario sine --set lvdt.noise=0.005", "over 5:1"),
     ("identify --set flow_force=-1.3", "the valve is unstable"),
     ("identify --set friction.coulomb=10.0", "which is what friction gives while it holds a spool"),
-    ("identify --order 2 --set lvdt.delay=0.006", "order 2 misses the response by"),
     (
         "identify --set amplitude=0.5 --set friction.coulomb=0.6 --set friction.presliding=0.02",
         "which is what friction gives while it holds a spool",
@@ -187,9 +186,11 @@ REFUSED = [
     ("identify --friction --characteristic curve.pdf", ".png or .svg"),
     ("identify --sensor-delay -0.001", "--sensor-delay is -0.001 s; it must lie between 0 and 1 s"),
     ("identify --band 5 2", "--band"),
-    ("identify --second-order 0,0.8,1", "natural frequency is 0 Hz"),
-    ("identify --second-order 18,0.8,1 --friction", "so it takes no --friction"),
-    ("identify --second-order 18,0.8,1 --set valve=custom", "not of valve"),
+    ("identify --data-sheet damping=0.8", "natural_frequency or step_time; give one of them"),
+    ("identify --data-sheet natural_frequency=600", "not below Nyquist's frequency, 500 Hz"),
+    ("identify --data-sheet step_time=0.005 coil=0.003", "the coil alone takes 0.00691 s"),
+    ("identify --data-sheet natural_frequency=18 --friction", "so it takes no --friction"),
+    ("identify --data-sheet natural_freq=18", "did you mean 'natural_frequency'?"),
     ("identify --set arc.k1=3", "takes no --set arc.k1"),
     ("identify --map spool_position=/x", "takes no --map"),
     ("identify a_bag --friction", "give a bag for both tests or for none"),
@@ -198,7 +199,7 @@ REFUSED = [
 
 @pytest.mark.parametrize(("line", "words"), REFUSED)
 def test_bad_input_is_one_sentence(run, tmp_path, line, words):
-    own = any(word in line for word in ("second-order", "a_bag", "steps=", "cycles="))
+    own = any(word in line for word in ("data-sheet", "a_bag", "steps=", "cycles="))
     task, *options = line.split()
     status, out, err = run(task, *([] if own else QUICK), *options, "--json", "r.json")
     assert status == 2 and out == ""

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.simulation import offline
 from valve_control.design.identification import (
     bode,
+    datasheet,
     experiment,
     rational,
     response,
@@ -178,6 +181,69 @@ def test_coherence_is_the_share_of_the_motion_that_is_the_voltages():
     assert f"{weakest:.3g} Hz" in note and measured.coherence[0] > 0.99
     assert f"{measured.frequency[0]:.3g} Hz" not in note
     assert experiment.coherence_notes(measure()) == []
+
+
+def log(law, noise, valve, **command):
+    """A table of a simulated run under ``law``, whose gains are those of the valve's data sheet."""
+    tree = result.parameters(datasheet.valve({**valve, "lvdt.noise": noise}))
+    test = {"frequency": 0.5, "end_frequency": 30.0, "sweep_time": 20.0, "amplitude": 1.0, **command}
+    motion = build.commands(experiment.test_values({"scenario": "sweep", **test}, 0.001))
+    run = offline.simulate(
+        updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, **tree["controller"]}),
+        updated(VALVE, defaults(VALVE), {"seed": 3, **tree["valve_simulator"]}),
+        motion,
+    )
+    return experiment.Experiment("log", 0.001, run.voltage, run.measurement, (), 10.0, (), command=motion)
+
+
+@pytest.mark.parametrize("law", ["pid", "dcarc"])
+@pytest.mark.parametrize(
+    ("hertz", "damping", "stroke", "noise"),
+    [(9.0, 0.7, 9.0, 0.01), (14.0, 1.0, 8.0, 0.02), (6.0, 0.5, 11.0, 0.005)],
+)
+def test_under_feedback_the_command_is_the_instrument(law, hertz, damping, stroke, noise):
+    """Before: spectra of voltage and position alone, and bounds that the truth missed."""
+    valve = {"natural_frequency": hertz, "damping": damping, "full_stroke": stroke}
+    table = log(law, noise, valve)
+    assert "depends on the reading" in experiment.excited(table).feedback
+    fit = rational.fit(experiment.estimate(experiment.excited(table), 0.4, None), 2)
+    true = bode.model_corners(datasheet.valve(valve).known.model)
+    for found, bound, wanted in zip(fit.corners, fit.corner_bounds, true, strict=True):
+        assert abs(found - wanted) < 1.5 * bound < 0.03 * wanted
+    with pytest.raises(ParameterError, match="under feedback .* has no command that moves"):
+        experiment.excited(table._replace(command=np.full(len(table.voltage), np.nan)))
+
+
+@pytest.mark.parametrize(
+    ("noise", "command"),
+    [
+        (0.005, {}),
+        (0.0, {}),
+        (0.005, {"scenario": "stepped_sine"}),
+        (0.02, {"scenario": "triangle"}),
+    ],
+)
+def test_no_feedback_is_invented(noise, command):
+    assert experiment.excited(log("open_loop", noise, {"natural_frequency": 9.0}, **command)).feedback == ""
+
+
+@pytest.mark.parametrize(("first", "end"), [(9_000, 11_000), (20_000, 26_000), (25_000, 25_500)])
+@pytest.mark.parametrize("numbered", [True, False])
+def test_all_whole_stretches_of_a_test_count(first, end, numbered):
+    """Readings are missing, or time leaps; before, they were drawn as a line, or one stretch counted."""
+    whole = log("open_loop", 0.005, {"natural_frequency": 9.0}, sweep_time=30.0)
+    rows = [whole.voltage.copy(), whole.position.copy(), whole.command.copy()]
+    for row in rows:
+        row[first:end] = np.nan
+    if not numbered:
+        rows = [np.delete(row, np.arange(first, end)) for row in rows]
+    voltage, position, command = rows
+    leaps = () if numbered else (first,)
+    table = whole._replace(voltage=voltage, position=position, command=command, leaps=leaps)
+    measured = experiment.estimate(experiment.excited(table), 0.4, None)
+    assert measured.frequency[0] < 1.0 and measured.frequency[-1] > 25.0
+    fit = rational.fit(measured, 2)
+    assert abs(fit.corners.minus_90 - 9.0) < 1.5 * fit.corner_bounds.minus_90 < 0.1
 
 
 def test_what_the_test_did_not_excite_is_not_claimed():

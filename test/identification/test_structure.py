@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
-from valve_control.design.identification import bode, structure
+from valve_control.design.identification import bode, rational
 from valve_control.design.identification.response import Response
 
 PERIOD = 0.001
@@ -31,7 +31,7 @@ def with_coil(hertz, damping, lag, gain=0.85):
 @pytest.mark.parametrize("delay", [0.0, 0.0005, 0.001])
 @pytest.mark.parametrize(("hertz", "damping", "lag"), [(9.0, 0.8, 0.004), (7.0, 0.8, 0.003)])
 def test_a_coil_is_a_pole_and_not_dead_time(hertz, damping, lag, delay):
-    best = structure.choose(made(with_coil(hertz, damping, lag), delay))
+    best = rational.choose(made(with_coil(hertz, damping, lag), delay))
     assert (best.order, len(best.model.numerator)) == (3, 1)
     assert ("delay" in best.names) == (delay > 0.0)
     assert abs(best.delay - delay) < 1e-5
@@ -49,11 +49,11 @@ def test_a_coil_is_a_pole_and_not_dead_time(hertz, damping, lag, delay):
     ],
 )
 def test_the_models_of_the_paper_keep_their_structure(model, delay, form):
-    best = structure.choose(made(model, delay))
+    best = rational.choose(made(model, delay))
     assert (best.order, len(best.model.numerator) - 1, "delay" in best.names) == form
     assert np.allclose(best.values[: len(best.values) - form[2]][-1], model.denominator[-1], rtol=0.02)
 
 
 def test_noise_that_explains_the_second_order_ends_the_search():
     measured = made(SECOND_ORDER, deviation=1e-3)
-    assert structure.choose(measured).names == ("b0", "a1", "a0")
+    assert rational.choose(measured).names == ("b0", "a1", "a0")

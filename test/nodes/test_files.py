@@ -55,7 +55,7 @@ def test_files_of_all_commands(tmp_path, monkeypatch):
     (tmp_path / "array.csv").write_text("".join(f"{0.001 * i}\n" for i in range(300)))
     commands = {
         "identify": ["identify", *QUICK],
-        "identify_slow": ["identify", *QUICK, "--delay", "--sample-period", "0.002"],
+        "identify_slow": ["identify", *QUICK, "--sample-period", "0.002"],
         "study": ["study", "--replay", "3"],
         "study_array": [
             "study", "--replay", "3", "--command", "array.csv", "--sample-period", "1e-3",

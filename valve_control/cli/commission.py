@@ -101,7 +101,7 @@ def _check(arguments: argparse.Namespace) -> None:
     from valve_control.design.identification import dead_time
 
     check_processes("threads", arguments.threads)
-    dead_time.check(arguments.sensor_delay)
+    dead_time.OF_SENSOR.check(arguments.sensor_delay)
     check_search(arguments.seed, arguments.valves, arguments.unseen, arguments.budget)
     for name in ("max_voltage", "travel", "max_chatter"):
         value = getattr(arguments, name)

@@ -214,6 +214,7 @@ def ended(program: str, task: str, work: Callable[[], int | None]) -> int:
         print(f"{program}: {task} needs more memory than there is", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
+        print(f"{program}: {task} was stopped", file=sys.stderr)
         return interrupts.STATUS
 
 

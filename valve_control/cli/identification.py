@@ -7,15 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import (
-    Progress,
-    bag_options,
-    check_outputs,
-    deliver,
-    tell_notes,
-    write_json,
-    wrote,
-)
+from valve_control.cli.common import bag_options, check_outputs, deliver, tell_notes, write_json, wrote
 from valve_control.cli.simulate import SCENARIOS, setup_options
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
@@ -27,10 +19,7 @@ if TYPE_CHECKING:
 
 SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
 RECORDED = ("map", "of", "start", "end", "clock")
-MEASURED = (
-    "bag", "valve", "scenario", "command", "duration", "seed", "params_file", "friction", "settle", "band",
-    "order", "delay", "sensor_delay", "figure", "characteristic", *RECORDED,
-)  # fmt: skip
+WRITING = ("task", "run", "line", "data_sheet", "output", "json")  # beside a data sheet
 
 
 def add_commands(commands: Any) -> None:
@@ -60,6 +49,13 @@ def add_commands(commands: Any) -> None:
     identify.add_argument(
         "bag", nargs="?", metavar="BAG", help="recorded stepped sine, sweep or other motion"
     )
+    identify.add_argument(
+        "--data-sheet",
+        nargs="*",
+        metavar="NAME=VALUE",
+        help="use the valve of a data sheet without a test (natural_frequency=18 damping=0.8 hysteresis=4); "
+        "alone: list the names",
+    )
     bag_options(identify.add_argument_group("with a bag"))
     group = identify.add_argument_group("measurement and fit")
     group.add_argument(
@@ -72,20 +68,12 @@ def add_commands(commands: Any) -> None:
         "--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help="fit only these frequencies [Hz]"
     )
     group.add_argument(
-        "--second-order",
-        type=second_order,
-        metavar="HZ,DAMPING,GAIN",
-        help="use a valve with this natural frequency, damping and static gain [V/V] without a test, for "
-        "example from a data sheet; accepts --set of u_max, lvdt.noise, lvdt.resolution and lvdt.delay",
-    )
-    group.add_argument(
         "--order",
         type=int,
         choices=(2, 3, 4),
         help="order of the model that is fitted beside the second order (default: poles, zeros and dead "
         "time are chosen by the response)",
     )
-    group.add_argument("--delay", action="store_true", help="also estimate a dead time")
     group.add_argument(
         "--sensor-delay",
         type=float,
@@ -110,20 +98,17 @@ def add_commands(commands: Any) -> None:
     identify.set_defaults(run=_identify)
 
 
-def second_order(text: str) -> tuple[float, float, float]:
-    """Natural frequency [Hz], damping and static gain [V/V] out of ``text``."""
-    frequency, damping, gain = map(float, text.split(","))
-    return frequency, damping, gain
-
-
 def _identify(arguments: argparse.Namespace) -> int:
-    from valve_control.design.identification import characteristic, result
+    from valve_control.design.identification import characteristic, datasheet, result
 
     tables = [path for path in arguments.characteristic if Path(path).suffix.lower() in (".yaml", ".yml")]
     drawings = [path for path in arguments.characteristic if path not in tables]
     check_outputs(arguments, [arguments.output, *tables], [arguments.figure, *drawings])
-    tested = arguments.second_order is None
-    found = _tested(arguments) if tested else _from_datasheet(arguments)
+    if arguments.data_sheet == []:
+        print("\n".join(row.described for row in datasheet.SHEET))
+        return 0
+    tested = arguments.data_sheet is None
+    found = _tested(arguments) if tested else _of_data_sheet(arguments)
     if arguments.characteristic and found.curve is None:
         raise ParameterError(
             "there is no characteristic curve: the slow triangle moved the spool to one side alone"
@@ -159,35 +144,25 @@ def _tested(arguments: argparse.Namespace) -> "Identification":
         settle=identify.SETTLE if arguments.settle is None else arguments.settle,
         band=None if arguments.band is None else tuple(arguments.band),
         order=arguments.order,
-        delayed=arguments.delay,
         sensor_delay=arguments.sensor_delay or 0.0,
     )
     request.check()
-    total = 2 if arguments.friction is None else 2 + identify.ROUNDS
-    progress, steps = Progress(total, "steps of the identification"), iter(range(1, total + 1))
-    progress(0)
     tested, triangle = _simulated(arguments) if arguments.bag is None else _recorded(arguments)
-    progress(next(steps))
-    return identify.identified(tested, triangle, request, lambda: progress(next(steps)))
+    try:
+        return identify.identified(tested, triangle, request)
+    except ParameterError:
+        tell_notes(tested.notes)  # on the recording: they may say why
+        raise
 
 
-def _from_datasheet(arguments: argparse.Namespace) -> "Identification":
-    """The valve that natural frequency, damping and static gain describe."""
+def _of_data_sheet(arguments: argparse.Namespace) -> "Identification":
+    """The valve of a data sheet."""
     from valve_control.control.parameters import files as parameter_files
     from valve_control.design.identification import datasheet
 
-    _refuse(arguments, MEASURED, "identify --second-order measures nothing, so it")
-    direct = {"valve_simulator": {"sample_period": arguments.sample_period}}
-    for text in arguments.set:
-        name, _ = parameter_files.parse_setting(text)
-        if name not in datasheet.SETTABLE:
-            raise ParameterError(
-                f"identify --second-order takes --set of {', '.join(datasheet.SETTABLE)}, not of {name}"
-            )
-    changes = parameter_files.given([], direct, arguments.set)["valve_simulator"]
-    table = NODES["valve_simulator"]
-    frequency, damping, gain = arguments.second_order
-    return datasheet.second_order(frequency, damping, gain, updated(table, defaults(table), changes))
+    _refuse(arguments, vars(arguments).keys() - WRITING, "identify --data-sheet tests nothing, so it")
+    nodes = {"sheet": datasheet.SHEET}
+    return datasheet.valve(parameter_files.given([], {}, arguments.data_sheet, nodes=nodes)["sheet"])
 
 
 def _refuse(arguments: argparse.Namespace, names: Iterable[str], who: str) -> None:
@@ -256,4 +231,4 @@ def _recorded(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | 
         if not loaded.valves:
             raise BagError(f"{path} has no topic of a valve")
         tests.append(recorded.recorded(loaded, recording.chosen(path, loaded.valves, arguments.of)))
-    return tests[0], tests[1] if len(tests) > 1 else None
+    return tests[0], recorded.longest(tests[1]) if len(tests) > 1 else None

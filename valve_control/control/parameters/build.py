@@ -72,9 +72,9 @@ def shape(values: Values) -> "Shape":
     )
     if made.scenario == "stepped_sine":
         needed = made.start + steps_of(made)[-1].end
-        if needed > number(values, "duration"):
+        if needed > number(values, "duration") + number(values, "sample_period"):
             raise ParameterError(
-                f"duration is {number(values, 'duration'):g} s; the stepped sine takes {needed:.6g} s"
+                f"duration is {number(values, 'duration'):g} s; the stepped sine takes {needed + 5e-4:.3f} s"
             )
     if made.scenario == "point_to_point":
         ramp, cruise, _ = stroke_time(abs(made.amplitude), made.max_velocity, made.max_accel)

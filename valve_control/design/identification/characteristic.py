@@ -260,10 +260,16 @@ def parameters(found: Characteristic, gain: float, u_max: float) -> Values:
     return made
 
 
+def known_part(value: float, bound: float = 1e-4) -> float:
+    """``value`` up to the first digit of its ``bound``: no test tells a voltage of 3.22e-5 V."""
+    digits = -math.floor(math.log10(bound)) if 0.0 < bound < math.inf else 17
+    return round(value, digits) + 0.0
+
+
 def text(found: Characteristic) -> str:
     """The curve in a few lines for the terminal."""
     above, below, overlap, null, hysteresis = (
-        f"{one.value:.4g} ± {one.bound:.2g} V"
+        f"{known_part(one.value, one.bound):.4g} ± {one.bound:.2g} V"
         for one in (found.positive.gain, found.negative.gain, found.overlap, found.null, found.hysteresis)
     )
     low, high = (

@@ -11,9 +11,10 @@ import math
 from typing import NamedTuple
 
 from valve_control.control.analysis.timing import Spread
-from valve_control.parameter import ParameterError
+from valve_control.parameter import Parameter
 
-LONGEST = 1.0  # s
+OF_SENSOR = Parameter("--sensor-delay", 0.0, "s", "dead time of an LVDT with its converter", 0.0, 1.0)
+LEAST = 1e-6  # s  that any test tells
 
 
 class DeadTime(NamedTuple):
@@ -21,15 +22,6 @@ class DeadTime(NamedTuple):
 
     sensor: float  # s
     actuator: float  # s
-
-
-def check(sensor: float) -> None:
-    """Raise ParameterError unless ``sensor`` [s] can be a dead time of a sensor."""
-    if not 0.0 <= sensor <= LONGEST:
-        raise ParameterError(
-            f"--sensor-delay is {sensor:g} s; it must lie between 0 and {LONGEST:g} s (an LVDT with its "
-            "converter has 0.0001 to 0.001 s)"
-        )
 
 
 def divided(total: float, sensor: float) -> DeadTime:
@@ -41,7 +33,7 @@ def divided(total: float, sensor: float) -> DeadTime:
 def notes(total: float, sensor: float) -> list[str]:
     """Where a ``total`` dead time [s] is counted, and the error that a wrong choice makes, as a sentence."""
     own = divided(total, sensor)
-    if own.actuator <= 0.0:
+    if own.actuator < LEAST:
         return []
     late = f"{1e3 * own.actuator:.3g} ms"
     return [

@@ -3,6 +3,7 @@
 """Tests a valve: excites it with voltages, takes its readings, and estimates the frequency response."""
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,13 @@ HELD_GAIN = 0.25  # V/V, below both of which a spool may be held by friction: it
 SAMPLES = 20.0  # in a period of a valve's natural frequency, where holding the voltage costs 9° of phase
 INCOHERENT = 0.9  # coherence below which a frequency is named
 NAMED = 5  # frequencies, at most
+BRIDGED = 5  # samples in a row that are not known and are filled in
+LEAST_STRETCH = 100  # samples
+# Windows that are looked at for feedback, their samples, the older ones that count, the delays of a law.
+MOST_WINDOWS, WINDOW, PAST, FEEDBACK_LAGS = 100, 400, 6, 4
+ALIKE = 0.3  # mean correlation from which on there is feedback
+NEW = 1e-6  # of the voltage, below which nothing in it is new
+NEXT = "record a stepped sine or a sweep of 60 s from 0.5 Hz on, with a larger amplitude"
 DIVERGED = 1e3  # times u_max, beyond which a position has run away
 
 
@@ -43,6 +51,13 @@ class Experiment(NamedTuple):
     notes: tuple[str, ...]
     feedback: str = ""  # the law that the voltage came from, if it looks at the reading
     times: "RecordedTimes | None" = None  # of a recorded test whose stamps tell them
+    command: Floats | None = None  # V  NaN where it is not known
+    leaps: tuple[int, ...] = ()  # samples before which time leaps
+
+    @property
+    def excitation(self) -> Floats:
+        """What moves the valve whatever it reads [V]: the voltage, or under feedback the command."""
+        return self.command if self.feedback and self.command is not None else self.voltage
 
 
 class RecordedTimes(NamedTuple):
@@ -110,16 +125,81 @@ def held(signal: Floats) -> Floats:
     return signal[np.maximum.accumulate(known)]
 
 
+def excited(tested: Experiment) -> Experiment:
+    """A recorded test with its stretches of one frequency, and feedback that its signals show.
+
+    Raises ParameterError if feedback has nothing that moves the valve independently of the reading.
+    """
+    if not tested.feedback and feeds_back(tested.voltage, tested.position):
+        tested = tested._replace(feedback="the voltage depends on the reading")
+    moved = tested.excitation[np.isfinite(tested.excitation)]
+    if tested.feedback and (tested.command is None or not len(moved) or np.ptp(moved) == 0.0):
+        raise ParameterError(
+            f"{tested.source} was recorded under feedback ({tested.feedback}) and has no command that moves, "
+            "without which voltage and reading do not show the valve; name it (--map spool_command=…), or "
+            "record a stepped sine or sweep with controller open_loop"
+        )
+    bounds = (0, *tested.leaps, len(tested.voltage))
+    segments = [
+        segment._replace(first=segment.first + a, end=segment.end + a)
+        for a, b in pairwise(bounds)
+        for segment in response.find_segments(held(tested.excitation[a:b]), tested.period)
+    ]
+    return tested._replace(segments=tuple(segments))
+
+
+def feeds_back(voltage: Floats, position: Floats) -> bool:
+    """Whether a ``voltage`` [V] follows from the readings ``position`` [V]; NaN: not known.
+
+    A reading has news that older readings and voltages do not tell (its innovation, by regression in each
+    window). Without feedback the news of the voltage are independent of them; under feedback they follow from
+    them, up to FEEDBACK_LAGS samples later.
+    """
+    known = np.isfinite(voltage) & np.isfinite(position)
+    firsts = np.linspace(0, len(known) - WINDOW, min(MOST_WINDOWS, len(known) // WINDOW)).astype(int)
+    parts = [slice(first, first + WINDOW) for first in firsts if np.all(known[first : first + WINDOW])]
+    alike = [[_alike(voltage[p], position[p], lag) for lag in range(FEEDBACK_LAGS)] for p in parts]
+    moved = [window for window in alike if any(window)]
+    return bool(moved) and bool(np.max(np.abs(np.mean(moved, axis=0))) > ALIKE)
+
+
+def _alike(voltage: Floats, position: Floats, lag: int) -> float:
+    """Correlation of the news in a ``voltage`` and in the ``position`` ``lag`` samples before; 0.0: none."""
+    n = len(voltage) - lag - PAST
+    before = [voltage[i : i + n] for i in range(lag + PAST)] + [position[i : i + n] for i in range(PAST)]
+    columns = np.column_stack([np.ones(n), *before])
+    both = np.column_stack([voltage[lag + PAST :], position[PAST : PAST + n]])
+    fit, _, _, _ = np.linalg.lstsq(columns, both, rcond=None)
+    u, y = (both - columns @ fit).T
+    size = math.sqrt(float(u @ u) * float(y @ y))
+    return float(u @ y) / size if float(u @ u) > NEW**2 * n * float(np.var(voltage)) else 0.0
+
+
+def stretches(tested: Experiment) -> list[Floats]:
+    """Excitation, voltage and position [V], 3×samples, of each stretch without a leap of time or a long gap.
+
+    Up to BRIDGED samples that are not known are bridged; what comes before the first voltage tells nothing.
+    """
+    rows = np.stack([held(tested.excitation), held(tested.voltage), tested.position])
+    known = np.flatnonzero(np.all(np.isfinite(rows), axis=0) & np.isfinite(tested.voltage))
+    part, found = np.searchsorted(tested.leaps, known, side="right"), []
+    for k in np.split(known, np.flatnonzero((np.diff(known) > BRIDGED + 1) | (np.diff(part) > 0)) + 1):
+        if len(k) > LEAST_STRETCH:
+            whole = np.arange(k[0], k[-1] + 1)
+            found.append(np.vstack([rows[:2, whole], np.interp(whole, k, tested.position[k])]))
+    if not found:
+        raise ParameterError(f"{tested.source} has no stretch of readings and voltages without a gap")
+    return found
+
+
 def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | None) -> Response:
     """Frequency response of the valve in an experiment; ``band`` [Hz] limits it. Raises ParameterError."""
-    voltage, position, period = held(experiment.voltage), experiment.position, experiment.period
-    begin = int(np.argmax(np.isfinite(voltage)))  # readings before the first voltage tell nothing
-    voltage, position = voltage[begin:], position[begin:]
-    at_limit = int(np.count_nonzero(np.abs(voltage) >= experiment.u_max * (1.0 - 1e-12)))
-    if at_limit:  # what then drove the valve is unknown
+    period = experiment.period
+    at_limit = int(np.count_nonzero(np.abs(experiment.voltage) >= experiment.u_max * (1.0 - 1e-12)))
+    if at_limit and not experiment.feedback:  # what then drove the valve is unknown
         raise ParameterError(
-            f"the voltage is at its limit of {experiment.u_max:g} V in {at_limit} of {len(voltage)} samples; "
-            "choose a smaller amplitude"
+            f"the voltage is at its limit of {experiment.u_max:g} V in {at_limit} of "
+            f"{len(experiment.voltage)} samples; choose a smaller amplitude"
         )
     whole = (0.0, math.inf) if experiment.segments else (0.5, min(100.0, ROOM / period))
     low, high = band or whole
@@ -129,11 +209,7 @@ def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | 
             raise ParameterError(f"no frequency of the test lies between {low:g} and {high:g} Hz")
         measured = response.stepped(experiment.voltage, experiment.position, segments, period, settle)
     else:
-        known = np.flatnonzero(np.isfinite(position))
-        if not len(known):
-            raise ParameterError("no reading came after the first voltage")
-        position = np.interp(np.arange(len(voltage)), known, position[known])
-        measured = response.spectral(voltage, position, period, low, high)
+        measured = response.spectral(stretches(experiment), period, low, high)
     # A spool that friction holds answers as a stiffer valve would, linear and with narrow bounds; by its
     # response alone it cannot be told from one.
     largest = float(np.max(np.abs(measured.value)))
@@ -146,8 +222,8 @@ def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | 
     lowest, highest = float(measured.frequency[0]), float(measured.frequency[-1])
     if highest < SPAN * lowest:
         raise ParameterError(
-            f"the response is known from {lowest:.4g} to {highest:.4g} Hz alone; a model needs them over "
-            f"{SPAN:g}:1 at least"
+            f"the response is known from {lowest:.4g} to {highest:.4g} Hz alone, and a model needs it over "
+            f"{SPAN:g}:1 at least: {'; '.join(measured.notes) or 'the test has no other frequencies'}; {NEXT}"
         )
     return measured
 

@@ -175,7 +175,7 @@ def _bristles(friction: Friction) -> Values:
     names = ("theta_initial", "theta_min", "theta_max", "theta_spread")
     start, lowest, highest, spread = (list(numbers(own, f"dcarc.{name}")) for name in names)
     start[2] = friction.coulomb
-    start[6] = -friction.offset
+    start[6] = 0.0 - friction.offset
     for i in BRISTLES:
         highest[i] = max(highest[i], HIGHEST * friction.coulomb)
         spread[i] = max(CLOSE * friction.coulomb, LEAST_SPREAD)

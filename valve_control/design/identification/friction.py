@@ -16,9 +16,9 @@ import numpy as np
 import scipy.ndimage
 import scipy.optimize
 
-from valve_control.arrays import Floats
+from valve_control.arrays import Floats, Integers
 from valve_control.control.plant.models import TransferFunction
-from valve_control.design.identification.experiment import Experiment, held
+from valve_control.design.identification.experiment import BRIDGED, Experiment, held
 from valve_control.design.identification.response import Response, Segment, phasor
 from valve_control.parameter import ParameterError
 
@@ -104,10 +104,10 @@ def triangle_of(tested: Experiment, lag: float) -> Triangle:
     if float(np.max(np.abs(voltage))) >= tested.u_max:
         raise ParameterError(f"the voltage of the friction test saturates at u_max, {tested.u_max:g} V")
     reading = np.interp(np.arange(len(voltage)), known, tested.position[known])
-    return Triangle(voltage, reading, _strokes(voltage), lag + 0.5 * tested.period, tested.period)
+    return Triangle(voltage, reading, _strokes(voltage, known), lag + 0.5 * tested.period, tested.period)
 
 
-def _strokes(voltage: Floats) -> list[Stroke]:
+def _strokes(voltage: Floats, known: Integers) -> list[Stroke]:
     steps = np.diff(voltage)
     moving = np.flatnonzero(steps != 0.0)
     directions = np.sign(steps[moving])
@@ -115,7 +115,8 @@ def _strokes(voltage: Floats) -> list[Stroke]:
     travel, whole = float(np.ptp(voltage)), []
     for a, b in pairwise(turns if len(moving) else []):
         first, end = int(moving[a]), int(moving[b - 1]) + 1
-        if abs(voltage[end] - voltage[first]) > WHOLE * travel:
+        readings = np.concatenate([[first], known[(known > first) & (known < end)], [end]])
+        if abs(voltage[end] - voltage[first]) > WHOLE * travel and np.max(np.diff(readings)) <= BRIDGED + 1:
             whole.append(Stroke(first, end - first, float(directions[a])))
     lengths = [stroke.length for stroke in whole]
     if len(whole) <= LEAST_STROKES or max(lengths) - min(lengths) > 1.0 + EQUAL * max(lengths):

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Identifies a valve by its tests: response, structure, friction, characteristic curve, first gains."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 from valve_control.design.identification import (
@@ -13,7 +12,6 @@ from valve_control.design.identification import (
     friction,
     lvdt,
     rational,
-    structure,
     theta,
 )
 from valve_control.design.identification.characteristic import Characteristic
@@ -22,7 +20,7 @@ from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response
 from valve_control.design.identification.result import Identification
-from valve_control.parameter import ParameterError
+from valve_control.parameter import Parameter, ParameterError
 
 SETTLE = 0.4  # s
 ROUNDS = 2  # the friction needs the model, and the model the friction
@@ -34,38 +32,30 @@ class Request(NamedTuple):
     settle: float = SETTLE  # s  transient at the beginning of each step that is left out
     band: tuple[float, float] | None = None  # Hz  that is fitted; None: all
     order: int | None = None  # of the model beside the second order; None: the response chooses
-    delayed: bool = False  # a dead time is fitted in any case
     sensor_delay: float = 0.0  # s  part of the dead time
 
     def check(self) -> None:
         """Raise ParameterError for what cannot be."""
-        dead_time.check(self.sensor_delay)
-        if not 0.0 <= self.settle < float("inf"):
-            raise ParameterError(f"--settle is {self.settle:g} s; it must be finite and not negative")
+        dead_time.OF_SENSOR.check(self.sensor_delay)
+        Parameter("--settle", SETTLE, "s", "", 0.0, 1e6).check(self.settle)
         low, high = self.band or (1.0, 2.0)
         if not 0.0 < low < high < float("inf"):
             raise ParameterError(f"--band {low:g} {high:g} must be two rising frequencies above 0 Hz")
 
 
-def identified(
-    tested: Experiment,
-    triangle: Experiment | None,
-    request: Request,
-    tell: Callable[[], None] = lambda: None,
-) -> Identification:
+def identified(tested: Experiment, triangle: Experiment | None, request: Request) -> Identification:
     """The valve of the test ``tested``, and of a slow ``triangle`` with its friction.
 
-    The friction needs the lag of the model, and the model what friction leaves. ``tell`` is called after each
-    round of both. Raises ParameterError.
+    The friction needs the lag of the model, and the model what friction leaves. Raises ParameterError.
     """
     if triangle is not None and triangle.period != tested.period:
         raise ParameterError(
             f"the friction test has a sample period of {triangle.period:g} s, the other one of "
             f"{tested.period:g} s; they must agree"
         )
+    tested = tested if tested.command is None else experiment.excited(tested)
     whole = measured = experiment.estimate(tested, request.settle, request.band)
-    fits = _fits(request, tested, measured)
-    tell()
+    fits = _fits(request.order, measured)
     rubbing, curve = None, None
     for _ in range(0 if triangle is None else ROUNDS):
         assert triangle is not None
@@ -76,8 +66,7 @@ def identified(
             slipping, played = _slipping(tested, rubbing, curve, measured)
             measured = experiment.estimate(slipping, request.settle, request.band)
             measured = friction.unsure(measured, whole) if played else measured
-            fits = _fits(request, tested, measured)
-        tell()
+            fits = _fits(request.order, measured)
     return _with_gains(request, tested, measured, fits, rubbing, curve)
 
 
@@ -99,14 +88,14 @@ def _slipping(
     return friction.without(tested, apart, curve.shares.play, 0.0 if magnet is None else magnet.coil), True
 
 
-def _fits(request: Request, tested: Experiment, measured: Response) -> tuple[Fit, ...]:
+def _fits(order: int | None, measured: Response) -> tuple[Fit, ...]:
     """The second order for the estimates, then the model that stands for the valve if it is another.
 
-    The response chooses a dead time, and the form where no order is asked for. A second order that misses it
-    then has a dead time too.
+    The response chooses a dead time, and the form where no ``order`` is asked for. A second order that misses
+    it then has a dead time too. A test that does not tell the bounds of one fit tells those of none.
     """
     refusals: list[ParameterError] = []
-    for delayed in (request.delayed,) if request.delayed or request.order is not None else (False, True):
+    for delayed in (False, True):
         try:
             second = rational.fit(measured, 2, delayed=delayed)
             rational.check_worth(second)
@@ -114,16 +103,13 @@ def _fits(request: Request, tested: Experiment, measured: Response) -> tuple[Fit
         except ParameterError as error:
             refusals.append(error)
     else:
-        if not tested.feedback:
-            raise refusals[0]
-        raise ParameterError(
-            f"{tested.source} was recorded in closed loop ({tested.feedback}), which does not show the valve "
-            f"alone: {refusals[0]}; record a stepped sine or sweep with controller open_loop"
-        ) from refusals[0]
-    if request.order is None and second.model_error == 0.0:  # noise alone explains what is left
+        raise refusals[0]
+    if order is None and second.model_error == 0.0:  # noise alone explains what is left
         return (second,)
-    best = structure.choose(measured, request.delayed, request.order)
-    return (second,) if best.names == second.names else (second, best)
+    best = rational.choose(measured, order)
+    if best.names == second.names:
+        return (second,)
+    return second, best._replace(bounded=best.bounded and second.bounded)
 
 
 def _with_gains(
@@ -159,8 +145,8 @@ def _with_gains(
     ]
     if tested.feedback:
         notes.append(
-            f"the voltage came from {tested.feedback}, which feeds noise of the reading back: the response "
-            "is biased"
+            f"recorded under feedback ({tested.feedback}): the response is that of position and voltage to "
+            "the command, which noise of the reading does not bias"
         )
     if not all(fit.bounded for fit in fits):
         notes.append(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Fits rational transfer functions to a measured response, with confidence bounds.
+"""Fits rational transfer functions to a measured response, with bounds, and chooses their form.
 
 scipy.signal has no invfreqs (scipy issue 4497), python-control no fit to a response (its issue 550), and the
 vector fitting of scikit-rf leaves the number of zeros open. So: a start after Levy [1] in the iteration of
@@ -9,9 +9,11 @@ Sanathanan and Koerner [2], then maximum likelihood by scipy.optimize.least_squa
 [1] E. C. Levy, Complex-curve fitting, IRE Trans. Automatic Control 4 (1959).
 [2] C. K. Sanathanan, J. Koerner, Transfer function synthesis as a ratio of two complex polynomials, IEEE
     Trans. Automatic Control 8 (1963).
+[3] G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6 (1978).
 """
 
 import math
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +45,8 @@ DELAY_STEP = 0.1
 WIDEST_DELAY = 0.25  # of the slowest cycle
 BAND = 20.0  # times the highest measured frequency below which a pole is believed
 DEPTH = 0.2  # times the lowest one above which it is
+FORMS = ((2, 0), (3, 0), (3, 1), (4, 1), (4, 2))  # poles and zeros
+NEAR = 6.0  # of the criterion, within which the simplest candidate counts
 
 
 class Fit(NamedTuple):
@@ -58,8 +62,9 @@ class Fit(NamedTuple):
     error: float  # rms of the relative error
     model_error: float  # relative error that the noise does not explain
     corners: Corners
+    corner_bounds: Corners  # half-widths of their 95 % confidence intervals [Hz]
     bounded: bool = True  # whether the test tells the bounds
-    criterion: float = math.inf  # Schwarz's: -2·(log likelihood) + (unknowns)·log(numbers measured)
+    criterion: float = math.inf  # Schwarz's [3]: -2·(log likelihood) + (unknowns)·log(numbers measured)
 
 
 class _Form(NamedTuple):
@@ -193,9 +198,22 @@ def fit(
         error=error,
         model_error=model_error,
         corners=model_corners(model, delay),
+        corner_bounds=_corner_bounds(form, x, quantile * inverse),
         bounded=model_error <= EXPLAINED or float(np.median(measured.deviation / size)) <= EXCITED,
         criterion=misfit + len(x) * math.log(2 * len(size)),
     )
+
+
+def _corner_bounds(form: _Form, x: Floats, spread: Floats) -> Corners:
+    """Bounds of the corners of the unknowns ``x``, which independent errors of unit size ``spread``."""
+
+    def at(x: Floats) -> Floats:
+        return np.array(model_corners(*form.model(x)), dtype=np.float64)  # None is NaN
+
+    steps = np.diag(1e-4 * np.maximum(np.abs(x), 0.01))
+    slopes = np.array([(at(x + step) - at(x)) / np.sum(step) for step in steps])
+    bounds = np.linalg.norm(slopes.T @ spread, axis=1)
+    return Corners(*(float(bound) if np.isfinite(bound) else None for bound in bounds))
 
 
 def _check_poles(model: TransferFunction, order: int, frequency: Floats) -> None:
@@ -247,11 +265,47 @@ def check_worth(made: Fit) -> None:
         )
 
 
-def is_clear(made: Fit) -> bool:
+def _is_clear(made: Fit) -> bool:
     """Whether the data tell the order of a fit for which nobody asked: no zero cancels a pole of it, too."""
     poles, zeros = np.roots(made.model.denominator), np.roots(made.model.numerator)
     cancelled = np.any(np.abs(zeros - poles[:, None]) < CANCELLED * np.abs(poles[:, None]))
     return made.order == 2 or bool(not cancelled and made.bounded and _vaguest(made)[2] <= CLEAR)
+
+
+def choose(measured: Response, order: int | None = None) -> Fit:
+    """The simplest of the candidates nearest to ``measured``, by Schwarz's criterion.
+
+    With an ``order`` only the dead time is chosen; there are two more poles than zeros then. Candidates with
+    more unknowns are tried until noise alone explains what one leaves. Of those that are nearly as good, or
+    that leave nothing but noise, the simplest counts: a coil is a pole without a zero, and a dead time has to
+    show itself beside it. One whose coefficients are not in the data gives way to the next best. Raises
+    ParameterError if none is left.
+    """
+    shapes = FORMS if order is None else ((order, order - 2),)
+    forms = [(*shape, late) for shape in shapes for late in (False, True)]
+    tried: list[tuple[tuple[int, int, bool], Fit]] = []
+    refusals: list[ParameterError] = []
+    for _, level in groupby(sorted(forms, key=sum), key=sum):  # the number of unknowns, less 1
+        for poles, zeros, late in level:
+            try:
+                tried.append(((zeros, poles, late), fit(measured, poles, zeros, late)))
+            except ParameterError as error:
+                refusals.append(error)
+        if any(one.model_error == 0.0 for _, one in tried):
+            break
+    while tried:
+        # Of the nearest: fewest zeros, then fewest poles, then no dead time.
+        least = min(one.criterion for _, one in tried)
+        near = [one for one in tried if one[1].criterion <= least + NEAR or one[1].model_error == 0.0]
+        best = min(near, key=lambda one: one[0])
+        tried = [one for one in tried if one is not best]
+        try:
+            check_worth(best[1])
+            if order is not None or _is_clear(best[1]):
+                return best[1]
+        except ParameterError as error:
+            refusals.append(error)
+    raise refusals[0]
 
 
 def measured_corners(measured: Response, static_gain: float) -> Corners:

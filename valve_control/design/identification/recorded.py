@@ -8,8 +8,7 @@ from valve_control.arrays import Floats, Integers
 from valve_control.control.analysis import timing
 from valve_control.control.analysis.timing import leaps, numbered_by_time, true_period
 from valve_control.control.laws.registry import LAWS
-from valve_control.design.identification import response
-from valve_control.design.identification.experiment import Experiment, RecordedTimes, held
+from valve_control.design.identification.experiment import Experiment, RecordedTimes
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import in_order
 from valve_control.recordings.recording import Aligned, Recording, ValveRecording, align, voltages_before
@@ -42,14 +41,15 @@ def _numbered(aligned: Aligned, sequence: Integers, period: float, notes: list[s
 
 def _samples(
     aligned: Aligned, valve: ValveRecording, index: Integers, period: float
-) -> tuple[Floats, Floats, Floats]:
-    """Voltage [V], position [V] and time [s] by the number of the sample; NaN where they are not known.
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Voltage, position, command [V] and time [s] by the number of the sample; NaN where they are not known.
 
     Voltages that were lost are left out: of readings that have no answer while most of them have one.
     """
     length = int(index[-1]) + 1
-    voltage, position, time = (np.full(length, np.nan) for _ in range(3))
+    voltage, position, command, time = (np.full(length, np.nan) for _ in range(4))
     voltage[index], position[index], time[index] = aligned.voltage, aligned.measurement, aligned.time
+    command[index] = aligned.command
     if aligned.answered is not None and np.mean(aligned.answered) > MOSTLY:
         voltage[index[~aligned.answered]] = np.nan
     lost = np.isnan(time)
@@ -57,7 +57,7 @@ def _samples(
     if aligned.answered is not None and aligned.wall and np.any(lost):
         stamp = aligned.stamp[0] + np.round((time[lost] + period) * 1e9).astype(np.int64)
         voltage[lost] = voltages_before(valve, stamp)
-    return voltage, position, time
+    return voltage, position, command, time
 
 
 def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
@@ -73,21 +73,16 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
     sequence = valve.signals["spool_position"].sequence[-count:]
     period = _kept_period(aligned, sequence, notes)
     index = _numbered(aligned, sequence, period, notes)
-    voltage, position, time = _samples(aligned, valve, index, period)
+    voltage, position, command, time = _samples(aligned, valve, index, period)
     times = _times(aligned, valve, index, time, period)
     length = len(time)
     if length > count:
         notes.append(f"{length - count} of {length} readings were lost and are left out")
-    if aligned.wall and count > 1 and len(cuts := index[leaps(aligned.stamp, index, period)]):
-        bounds = np.array([0, *cuts, length])
-        longest = int(np.argmax(np.diff(bounds)))
-        whole = slice(bounds[longest], bounds[longest + 1])
-        voltage, position, time = voltage[whole], position[whole], time[whole]
-        if times is not None:
-            times = times._replace(voltage=times.voltage[whole], late=times.late[whole])
+    cuts = index[leaps(aligned.stamp, index, period)] if aligned.wall and count > 1 else index[:0]
+    if len(cuts):
         notes.append(
             f"time leaps {len(cuts)} times beside the readings, because the clock was set or readings are "
-            f"missing; only {len(time) * period:.4g} s between two leaps are used"
+            "missing"
         )
     initial = {} if valve.controller is None else valve.controller.initial
     law = str(initial.get("controller", "open_loop"))
@@ -97,11 +92,31 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
         period=period,
         voltage=voltage,
         position=position,
-        segments=tuple(response.find_segments(held(voltage), period)),
+        segments=(),
         u_max=float(initial.get("u_max", 10.0)),
         notes=tuple(notes),
         feedback=feedback,
         times=times,
+        command=command,
+        leaps=tuple(cuts.tolist()),
+    )
+
+
+def longest(tested: Experiment) -> Experiment:
+    """The longest part of ``tested`` between two leaps of time."""
+    if not tested.leaps:
+        return tested
+    bounds = np.array([0, *tested.leaps, len(tested.voltage)])
+    at = int(np.argmax(np.diff(bounds)))
+    whole = slice(bounds[at], bounds[at + 1])
+    voltage, times, command = tested.voltage[whole], tested.times, tested.command
+    return tested._replace(
+        voltage=voltage,
+        position=tested.position[whole],
+        command=None if command is None else command[whole],
+        times=times and times._replace(voltage=times.voltage[whole], late=times.late[whole]),
+        leaps=(),
+        notes=(*tested.notes, f"only {len(voltage) * tested.period:.4g} s between two leaps are used"),
     )
 
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
+import scipy.linalg
 
 from valve_control.arrays import Complexes, Floats
 from valve_control.control.commands.arrays import refuse_aliased
@@ -74,7 +75,7 @@ def stepped(
 ) -> Response:
     """Response at the frequency of each segment, from the whole cycles after its first ``settle`` [s].
 
-    A sine, a cosine and a constant are fitted to voltage and position; the residual of the position gives the
+    A sine, a cosine and a constant are fitted to voltage and position; the residuals of both give the
     uncertainty. Samples that are NaN are left out. Raises ParameterError if too little is left.
     """
     points, notes = [], list[str]()
@@ -94,22 +95,22 @@ def stepped(
         k = k[np.isfinite(voltage[k]) & np.isfinite(position[k])]
         if len(k) < LEAST_SAMPLES:
             raise ParameterError(f"{frequency:.4g} Hz has only {len(k)} readings; it needs {LEAST_SAMPLES}")
-        u, _ = phasor(voltage[k], k, turns)
+        u, around = phasor(voltage[k], k, turns)
         y, noise = phasor(position[k], k, turns)
         if abs(u) < 1e-6:
             raise ParameterError(f"the voltage does not move at {frequency:.4g} Hz; there is no excitation")
         harmonics = _harmonics(position[k], k, turns) / max(abs(y), 1e-300)
         most, at = max((most, at), (harmonics, frequency), key=lambda one: one[0])
-        deviation = noise * math.sqrt(2.0 / len(k)) / abs(u)
         value = y / u
+        deviation = math.hypot(noise, abs(value) * around) * math.sqrt(2.0 / len(k)) / abs(u)
         if abs(value) < RESOLUTION * deviation:
             notes.append(
                 f"{frequency:.4g} Hz is left out: its response of {abs(value):.2g} V/V is lost in "
                 f"noise of {deviation:.2g} V/V"
             )
             continue
-        coherence = 0.5 * abs(y) ** 2 / (0.5 * abs(y) ** 2 + noise**2)
-        points.append((frequency, value, max(deviation, CERTAIN * abs(value)), coherence))
+        shares = [0.5 * abs(x) ** 2 / (0.5 * abs(x) ** 2 + n**2) for x, n in ((u, around), (y, noise))]
+        points.append((frequency, value, max(deviation, CERTAIN * abs(value)), min(shares)))
     if at > 0.0:
         notes.append(
             f"the position has harmonics of up to {100.0 * most:.3g} % (at {at:.4g} Hz): friction or another "
@@ -141,81 +142,111 @@ def phasor(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> tuple[
     return complex(fit[0], -fit[1]), math.sqrt(float(rest @ rest) / (len(index) - 3))
 
 
-def spectral(voltage: Floats, position: Floats, period: float, lowest: float, highest: float) -> Response:
+def spectral(stretches: Sequence[Floats], period: float, lowest: float, highest: float) -> Response:
     """Response from ``lowest`` to ``highest`` [Hz] by local polynomials [1], for a sweep or any other motion.
 
-    Over a finite record the reading's spectrum is response·(voltage's spectrum) + transient, where the
-    transient comes of what the record does not show, before its beginning and after its end. Response and
-    transient are smooth, the voltage's spectrum is not: in each band of frequencies both are polynomials of
-    second degree, fitted by least squares, and the response counts at the band's middle. So a record may
-    begin and end in motion, and averaging over a band bends nothing. scipy.signal.csd and welch would cut a
-    sweep into pieces, of which one alone holds a frequency. Residuals give the uncertainty. Raises
-    ParameterError if too little is left.
+    ``stretches``: whole parts of the record, each 3×samples: excitation, voltage and position [V]. Over a
+    finite stretch the position's spectrum is response·(voltage's spectrum) + transient, where the transient
+    comes of what the stretch does not show, before its beginning and after its end. Response and transients
+    are smooth, the spectrum of the excitation is not: in each band of frequencies they are polynomials of
+    second degree, one transient for each stretch, and the response counts at the band's middle. So a record
+    may begin and end in motion, and averaging over a band bends nothing. scipy.signal.csd and welch would cut
+    a sweep into pieces, of which one alone holds a frequency. The excitation is the instrument [2]: the
+    voltage itself, which is least squares, or under feedback the command, of which noise knows nothing.
+    Residuals give the uncertainty. Raises ParameterError if too little is left.
 
     [1] R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 7.
+    [2] T. Söderström, P. Stoica, Instrumental Variable Methods for System Identification (1983).
     """
     refuse_aliased(highest, period)
-    length = len(voltage) * period
+    ordered = sorted(stretches, key=lambda stretch: -stretch.shape[1])
+    length = ordered[0].shape[1] * period
     if lowest * length < LEAST_CYCLES:
         raise ParameterError(
             f"{lowest:g} Hz makes {lowest * length:.2g} cycles in {length:.3g} s; it needs {LEAST_CYCLES} "
             "(--band, or a longer test)"
         )
     # Increments: a mean that is not 0 stays out. No padding: it would turn the transient's phase.
-    u, y = (
-        np.asarray(scipy.fft.rfft(np.diff(signal)), dtype=np.complex128) for signal in (voltage, position)
-    )
-    frequency: Floats = np.fft.rfftfreq(len(voltage) - 1, period).astype(np.float64)
-    strongest = float(np.max(np.abs(u[1:]) / frequency[1:]))
-    points = []
-    left_out = 0
-    first = int(np.searchsorted(frequency, lowest))
+    spectra: list[Complexes] = [
+        scipy.fft.rfft(np.diff(stretch)) / math.sqrt(stretch.shape[1]) for stretch in ordered
+    ]
+    grids = [np.fft.rfftfreq(stretch.shape[1] - 1, period) for stretch in ordered]
+    strongest = max(np.max(np.abs(s[0, 1:]) / f[1:]) for s, f in zip(spectra, grids, strict=True))
+    frequency, points, first = grids[0], [], int(np.searchsorted(grids[0], lowest))
+    still, incoherent = 0, list[float]()
     while first < len(frequency) and frequency[first] <= highest:
-        end = max(first + BAND_BINS, int(np.searchsorted(frequency, frequency[first] * BAND_RATIO)))
-        band = slice(first, end)
-        first = end
+        begin = first
+        first = end = max(begin + BAND_BINS, int(np.searchsorted(frequency, frequency[begin] * BAND_RATIO)))
         if end > len(frequency) or frequency[end - 1] > highest:
             break
-        moved = _without_smooth(u[band])
+        within = [(f >= frequency[begin]) & (f <= frequency[end - 1]) for f in grids]
+        within = [part if np.count_nonzero(part) > DEGREE + 1 else part & False for part in within]
+        r, u, y = np.hstack([s[:, part] for s, part in zip(spectra, within, strict=True)])
+        at = np.concatenate([f[part] for f, part in zip(grids, within, strict=True)])
+        smooth, _ = np.linalg.qr(
+            scipy.linalg.block_diag(
+                *(
+                    np.vander(f[part] / frequency[begin] - 1.0, DEGREE + 1)
+                    for f, part in zip(grids, within, strict=True)
+                    if np.any(part)
+                )
+            )
+        )
+        moved = _apart(r, smooth)
         power = np.abs(moved) ** 2
-        told_apart = np.sum(power) > APART**2 * np.sum(np.abs(u[band]) ** 2)
-        if not told_apart or np.max(np.abs(moved) / frequency[band]) <= SILENT * strongest:
-            left_out += 1
+        told_apart = np.sum(power) > APART**2 * np.sum(np.abs(r) ** 2)
+        if not told_apart or np.max(np.abs(moved) / at) <= SILENT * strongest:
+            still += 1
             continue
-        middle = float(np.sum(power * frequency[band]) / np.sum(power))
+        middle = float(np.sum(power * at) / np.sum(power))
         lines = float(np.sum(power)) ** 2 / float(np.sum(power**2))
         degree = DEGREE if lines >= 2 * (DEGREE + 1) else 0
-        value, deviation, coherence = _local(u[band], y[band], frequency[band] - middle, degree)
+        value, deviation, coherence = _local(r, u, y, at - middle, smooth, degree)
         if coherence < LEAST_COHERENCE or abs(value) < RESOLUTION * deviation:
-            left_out += 1
+            incoherent.append(coherence)
             continue
         points.append((middle, value, max(deviation, CERTAIN * abs(value)), coherence))
-    reason = "the voltage does not move there, or the position is lost in noise"
-    notes = [f"{left_out} bands of frequency are left out: {reason}"] if left_out else []
-    return _response(points, period, "local polynomials", notes)
+    reasons = [f"in {still} the excitation does not move"] if still else []
+    if incoherent:
+        reasons.append(
+            f"in {len(incoherent)} the position is lost in noise or another motion: its coherence with the "
+            f"excitation falls to {min(incoherent):.2g}, and must be {LEAST_COHERENCE:g} at least"
+        )
+    count = still + len(incoherent)
+    notes = [f"{count} of {count + len(points)} bands of frequency are left out: {', '.join(reasons)}"]
+    return _response(points, period, "local polynomials", notes if count else [])
 
 
-def _without_smooth(spectrum: Complexes) -> Complexes:
-    """The part of a band of a spectrum that is not smooth, as a transient would be."""
-    smooth, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, len(spectrum)), DEGREE + 1))
+def _apart(spectrum: Complexes, smooth: Floats) -> Complexes:
+    """The part of a band of a ``spectrum`` that is not smooth, as a transient would be."""
     rest: Complexes = spectrum - smooth @ (smooth.T @ spectrum)
     return rest
 
 
-def _local(u: Complexes, y: Complexes, offset: Floats, degree: int) -> tuple[complex, float, float]:
+def _local(
+    r: Complexes, u: Complexes, y: Complexes, offset: Floats, smooth: Floats, degree: int
+) -> tuple[complex, float, float]:
     """Response at ``offset`` [Hz] 0 of a band, its standard deviation (as in ``Response``) and coherence.
 
-    ``degree``: of the response's polynomial, 0 where the voltage moves at a few frequencies alone.
+    ``r``, ``u``, ``y``: excitation, voltage, position; ``smooth``: basis of transients; ``degree``: of the
+    response's polynomial, 0 where the excitation moves at a few frequencies alone. Two-stage least squares:
+    the voltage counts as far as excitation and transients explain it. The coherence is the lesser one of
+    voltage and position with the excitation.
     """
-    smooth = np.vander(offset / np.max(np.abs(offset)), DEGREE + 1, increasing=True)
-    columns = np.hstack([u[:, None] * smooth[:, : degree + 1], float(np.max(np.abs(u))) * smooth])
-    inverse = np.linalg.pinv(columns, rcond=1e-10)
-    found = inverse @ y
-    free = len(u) - columns.shape[1]
+    powers = np.vander(offset / np.max(np.abs(offset)), degree + 1, increasing=True)
+    transients = float(np.max(np.abs(u))) * smooth
+    instruments, columns = (np.hstack([x[:, None] * powers, transients]) for x in (r, u))
+    span, _ = np.linalg.qr(instruments)
+    inverse = np.linalg.pinv(span @ (span.conj().T @ columns), rcond=1e-10)
+    found, free = inverse @ y, len(u) - columns.shape[1]
     noise = float(np.sum(np.abs(y - columns @ found) ** 2)) / free
     deviation = math.sqrt(0.5 * noise * float(np.sum(np.abs(inverse[0]) ** 2)))
-    motion = float(np.sum(np.abs(_without_smooth(y)) ** 2)) / (len(u) - DEGREE - 1)
-    return complex(found[0]), deviation, min(1.0, max(0.0, 1.0 - noise / max(motion, 1e-300)))
+    shares = []
+    for x in (u, y):
+        rest = float(np.sum(np.abs(x - span @ (span.conj().T @ x)) ** 2)) / free
+        motion = float(np.sum(np.abs(_apart(x, smooth)) ** 2)) / (len(x) - smooth.shape[1])
+        shares.append(1.0 - rest / max(motion, 1e-300))
+    return complex(found[0]), deviation, min(1.0, max(0.0, min(shares)))
 
 
 def _response(
@@ -243,43 +274,29 @@ def find_segments(voltage: Floats, period: float) -> list[Segment]:
         return []
     passage = before + u[before] / (u[before] - u[before + 1])
     length = np.diff(passage)
-    found: list[Segment] = []
-    first = 0
+    found, drifts, first = list[Segment](), list[float](), 0
     for i in range(1, len(length) + 1):
         tolerance = max(SAME * length[first], JITTER)
         if i < len(length) and abs(length[i] - np.mean(length[first:i])) <= tolerance:
             continue
         if i - first >= LEAST_CYCLES:
             begin, end = math.ceil(passage[first]), math.floor(passage[i]) + 1
-            segment = refined(u, begin, end, (i - first) / (passage[i] - passage[first]), period, PURE)
-            found += [segment] if segment is not None else []
+            segment = _sine(u, begin, end, (i - first) / (passage[i] - passage[first]), period)
+            if segment is not None:
+                found.append(segment)
+                halves = [float(np.mean(half)) for half in np.array_split(length[first:i], 2)]
+                drifts.append(abs(halves[1] / halves[0] - 1.0))
         first = i
     covered = sum(segment.end - segment.first for segment in found)
-    # Of other motions, such as those of a controller, a few cycles may look alike by chance.
-    if covered < COVERED * (passage[-1] - passage[0]):
+    # Of other motions, such as those of a controller, a few cycles may look alike by chance; the frequency of
+    # a sweep rises or falls within the segments.
+    if covered < COVERED * (passage[-1] - passage[0]) or float(np.median(drifts)) > DRIFT:
         return []
-    return [] if _swept(u, found, period) else found
+    return found
 
 
-def _swept(u: Floats, segments: Sequence[Segment], period: float) -> bool:
-    """Whether the frequency rises or falls within the segments, so that they are pieces of a sweep."""
-    drifts = []
-    for first, end, frequency in segments:
-        middle, turns = (first + end) // 2, frequency * period
-        before = refined(u, first, middle, turns, period, 10.0 * PURE)
-        behind = refined(u, middle, end, turns, period, 10.0 * PURE)
-        if before is not None and behind is not None:
-            drifts.append(abs(behind.frequency / before.frequency - 1.0))
-    return bool(drifts) and float(np.median(drifts)) > DRIFT
-
-
-def refined(
-    voltage: Floats, first: int, end: int, turns: float, period: float, pure: float
-) -> Segment | None:
-    """The stretch with its frequency of about ``turns`` per sample made exact, if a sine is what it is.
-
-    ``pure``: what may be left of it without the sine, over the sine's amplitude.
-    """
+def _sine(voltage: Floats, first: int, end: int, turns: float, period: float) -> Segment | None:
+    """The stretch with its frequency of about ``turns`` per sample made exact, if a sine is what it is."""
     if end - first < LEAST_SAMPLES:
         return None
     k = np.arange(first, end)
@@ -295,6 +312,6 @@ def refined(
         if not 0.0 < turns < 0.5:
             return None
     sine, rest = phasor(u, k, turns)
-    if abs(sine) < 1e-6 or rest > pure * abs(sine):
+    if abs(sine) < 1e-6 or rest > PURE * abs(sine):
         return None
     return Segment(first, end, turns / period)

@@ -15,13 +15,14 @@ from valve_control.control.parameters.table import NODES
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.identification import bode, characteristic, rational
 from valve_control.design.identification.bode import Corners, Root
-from valve_control.design.identification.characteristic import Characteristic
+from valve_control.design.identification.characteristic import Characteristic, known_part
 from valve_control.design.identification.first_gains import KnownValve, rounded
 from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response
 from valve_control.parameter import Values, defaults, updated
 
 STABLE = "Stable with 0.67 to 1.5 times the gain, 0.8 to 1.25 times the speed, one more sample of delay."
+UNBOUNDED = Corners(None, None)
 NEAR = 1.1  # times the highest excited frequency, and over the lowest, up to which a test tells something
 
 
@@ -35,6 +36,7 @@ class Identification(NamedTuple):
     measured: Response | None = None  # None: not tested
     fits: tuple[Fit, ...] = ()  # the last one stands for the valve
     curve: Characteristic | None = None  # None: not tested, or to one side alone
+    simulated: Values = {}  # of the simulator, what it has beside the model and in its place
 
 
 def polynomial(coefficients: tuple[float, ...]) -> str:
@@ -47,9 +49,13 @@ def polynomial(coefficients: tuple[float, ...]) -> str:
     return text
 
 
-def hertz(frequency: float | None) -> str:
-    """A frequency as text for a table, or that there is none."""
-    return "none" if frequency is None else f"{frequency:.2f} Hz"
+def hertz(frequency: float | None, bound: float | None = None) -> str:
+    """A frequency as text for a table, with its ``bound`` if there is one, or that there is none."""
+    if frequency is None:
+        return "none"
+    return (
+        f"{frequency:.2f} Hz" if bound is None else f"{known_part(frequency, 0.1 * bound):g} ± {bound:.2g} Hz"
+    )
 
 
 def roots_text(roots: list[Root], measured: Response | None = None) -> str:
@@ -68,9 +74,9 @@ def model_text(model: TransferFunction) -> str:
     return f"({polynomial(model.numerator)}) / ({polynomial(model.denominator)})"
 
 
-def corners_text(corners: Corners) -> str:
-    """Frequencies of -3 dB and -90°."""
-    return f"-3 dB at {hertz(corners.minus_3db)}, -90° at {hertz(corners.minus_90)}"
+def corners_text(corners: Corners, bounds: Corners = UNBOUNDED) -> str:
+    """Frequencies of -3 dB and -90°, with their ``bounds``."""
+    return f"-3 dB at {hertz(corners[0], bounds[0])}, -90° at {hertz(corners[1], bounds[1])}"
 
 
 def _excited(frequency: float, measured: Response) -> bool:
@@ -88,7 +94,8 @@ def _coefficients(fit: Fit, line: str) -> list[str]:
     with np.errstate(divide="ignore"):
         share = 100.0 * fit.bounds / np.abs(fit.values)
     line = line if fit.bounded else line.partition(" ±")[0]
-    return [line.format(*row) for row in zip(fit.names, fit.values, fit.bounds, share, strict=True)]
+    values = map(known_part, fit.values.tolist(), 0.1 * fit.bounds * fit.bounded)
+    return [line.format(*row) for row in zip(fit.names, values, fit.bounds, share, strict=True)]
 
 
 def fit_text(fit: Fit, measured: Response) -> str:
@@ -102,7 +109,7 @@ def fit_text(fit: Fit, measured: Response) -> str:
         *_coefficients(fit, "  {0:6} {1:14.7g} ± {2:10.3g}  ({3:.2g} %)"),
         f"  static gain {fit.model.static_gain:.5f}{width} V/V; fit error {100 * fit.error:.3g} % rms{share}",
         f"  poles {poles}; zeros {zeros}",
-        f"  {corners_text(_corners(fit, measured))}",
+        f"  {corners_text(_corners(fit, measured), fit.corner_bounds if fit.bounded else UNBOUNDED)}",
     ]
     return "\n".join(lines)
 
@@ -112,7 +119,7 @@ def text(found: Identification) -> str:
     known, rubbing, m = found.known, found.known.friction, found.measured
     if m is None:
         corners = corners_text(bode.model_corners(known.model, known.delay))
-        lines = [found.source, model_text(known.model), f"  {corners}"]
+        lines = [found.source, model_text(known.model), f"  {corners}", f"  box of the first gains: {STABLE}"]
     else:
         relative = 100.0 * m.deviation / np.abs(m.value)
         corners = corners_text(rational.measured_corners(m, known.model.static_gain))
@@ -128,11 +135,11 @@ def text(found: Identification) -> str:
     if m is not None:
         steps = f"steps of {1e3 * known.lvdt.resolution:.3g} mV" if known.lvdt.resolution else "no steps"
         lines.append(f"LVDT: noise {1e3 * known.lvdt.noise:.3g} mV, {steps}")
-    if rubbing is not None:
+    if rubbing is not None and m is not None:
         way = f"{1e3 * rubbing.presliding:.3g} mV" if rubbing.presliding else "not to be told"
         lines.append(
-            f"friction: Coulomb {rubbing.coulomb:.4g} V, presliding {way}, offset {rubbing.offset:.3g} V "
-            f"(triangle, {rubbing.strokes} strokes)"
+            f"friction: Coulomb {known_part(rubbing.coulomb):g} V, presliding {way}, offset "
+            f"{known_part(rubbing.offset):g} V (triangle, {rubbing.strokes} strokes)"
         )
     lines += [] if found.curve is None else [characteristic.text(found.curve)]
     return "\n".join([*lines, *(f"note: {note}" for note in found.notes)])
@@ -142,24 +149,19 @@ def parameters(found: Identification) -> dict[str, Values]:
     """Parameters for the nodes: the valve's model, a compensator for it, the adaptive laws' estimates."""
     known, rubbing = found.known, found.known.friction
     numerator, denominator = map(list, known.model)
-    valve: Values = {
+    valve: Values = found.simulated or {
         "valve": "custom",
         "numerator": numerator,
         "denominator": denominator,
         "gain_scale": 1.0,
-        "flow_force": 0.0,
-        "lvdt.noise": known.lvdt.noise,
-        "lvdt.resolution": known.lvdt.resolution,
     }
+    valve |= {"flow_force": 0.0, "lvdt.noise": known.lvdt.noise, "lvdt.resolution": known.lvdt.resolution}
     if known.delay > 0.0:
         valve["lvdt.delay"] = known.delay
     if rubbing is not None:
-        valve |= {
-            "friction.coulomb": rubbing.coulomb,
-            "friction.static_ratio": 1.0,
-            "friction.presliding": rubbing.presliding,
-            "disturbance.offset": rubbing.offset,
-        }
+        valve |= {"friction.coulomb": rubbing.coulomb, "friction.static_ratio": 1.0}
+        valve |= {"disturbance.offset": rubbing.offset}
+        valve |= {"friction.presliding": rubbing.presliding} if rubbing.strokes else {}
     controller: Values = {
         "compensator.design": "designed",
         "compensator.model": "custom",
@@ -245,6 +247,8 @@ def fit_dict(fit: Fit, measured: Response) -> dict[str, Any]:
         "error": fit.error,
         "model_error": fit.model_error,
         **corners_dict(_corners(fit, measured)),
+        "minus_3db_bound_hz": fit.corner_bounds.minus_3db if fit.bounded else None,
+        "minus_90_bound_hz": fit.corner_bounds.minus_90 if fit.bounded else None,
     }
 
 
