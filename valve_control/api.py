@@ -40,6 +40,7 @@ __all__ = [
 ]  # fmt: skip
 
 ENDINGS = {"json": "json", "npz": "npz", "csv": "csv", "html": "html", "output": "yaml", "figure": "svg"}
+MANY = ("band", "data_sheet")  # options that take several words
 DRAWN = ("simulate", "compare", "identify")
 WORDS = {"start": "--from", "end": "--to"}  # options that are words of Python
 
@@ -161,7 +162,7 @@ class Call(NamedTuple):
             option = WORDS.get(name, "--" + name.replace("_", "-"))
             if isinstance(value, Mapping):
                 value = [f"{k}={v if isinstance(v, str) else as_text(v)}" for k, v in value.items()]
-            if isinstance(value, tuple) and name == "band":
+            if name in MANY and value is not None:
                 words += [option, *map(str, value)]
             elif value is True:
                 words.append(option)
