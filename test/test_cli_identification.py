@@ -169,13 +169,76 @@ def test_one_step_gives_no_bounds_and_no_order_that_nobody_asked_for(run, tmp_pa
     assert not any("±" in line for line in out.splitlines() if not line.startswith("note:"))
 
 
+def test_a_table_under_feedback_is_told_by_its_command(run, tmp_path):
+    """Before: a response with bounds, of which the true one was outside."""
+    sweep = [
+        "--scenario",
+        "sweep",
+        "--set",
+        "sweep_time=15.0",
+        "--set",
+        "end_frequency=30.0",
+        "--duration",
+        "16",
+    ]
+    test = [
+        "--controller",
+        "pid",
+        "--set",
+        "lvdt.noise=0.02",
+        "--set",
+        "amplitude=0.5",
+        "--set",
+        "frequency=0.5",
+    ]
+    status, _, err = run("simulate", *test, *sweep, "--csv", "log.csv")
+    assert status == 0, err
+    columns = {"time": "time", "spool_position": "measurement", "valve_voltage": "voltage"}
+    maps = [word for part, column in columns.items() for word in ("--map", f"{part}={column}")]
+    status, out, err = run("identify", "log.csv", *maps)
+    assert (status, out) == (2, "") and "under feedback" in err and "--map spool_command=" in err
+    status, out, err = run("identify", "log.csv", *maps, "--map", "spool_command=command", "--json", "-")
+    assert status == 0, err
+    result = json.loads(out)
+    assert any("recorded under feedback" in note for note in result["notes"])
+    best = result["fits"][-1]
+    assert abs(best["minus_90_hz"] - 6.174) < 1.5 * best["minus_90_bound_hz"] < 0.2
+
+
+def test_a_short_noisy_log_is_refused_with_what_it_lacks(run, tmp_path):
+    """Before: "known from 0.88 to 0.88 Hz alone", and no word about why."""
+    random = np.random.default_rng(2)
+    voltage = np.clip(0.05 * np.cumsum(random.standard_normal(1024)), -1.5, 1.5)
+    rows = np.column_stack(
+        [0.05 * np.arange(1024), voltage, 0.9 * voltage + 0.3 * random.standard_normal(1024)]
+    )
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,u,y", comments="")
+    maps = ["--map", "time=t", "--map", "valve_voltage=u", "--map", "spool_position=y"]
+    status, out, err = run("identify", "log.csv", *maps)
+    assert (status, out) == (2, "")
+    *notes, refusal = sentences(err)
+    assert all(note.startswith("note: ") for note in notes)
+    assert all(
+        word in refusal for word in ("coherence with the excitation", "at least", "record a stepped sine")
+    )
+
+
+def test_the_duration_that_a_refusal_names_is_taken(run):
+    """Before: "duration is 31.28 s; the stepped sine takes 31.28 s"."""
+    for odd in ("12", "17", "23"):
+        test = ["identify", "--set", f"steps={odd}", "--set", "cycles=4", "--set", "step_time=0.7"]
+        _, _, err = run(*test, "--duration", "1")
+        status, _, err = run(*test, "--duration", err.split()[-2])
+        assert status == 0, err
+
+
 REFUSED = [
     ("identify --set cycles=1 --set step_time=0.1", "0 whole cycles after its transient"),
     ("identify --set amplitude=0.0", "does not move"),
     ("identify --set amplitude=10.0", "at its limit of 10 V"),
     ("identify --set end_frequency=600.0", "not below Nyquist's frequency, 500 Hz"),
     ("identify --set steps=3 --order 4", "needs 4 frequencies"),
-    ("identify --scenario sine --set lvdt.noise=0.005", "over 5:1"),
+    ("identify --scenario sine --set lvdt.noise=0.005", "in 70 the excitation does not move; record a"),
     ("identify --set flow_force=-1.3", "the valve is unstable"),
     ("identify --set friction.coulomb=10.0", "which is what friction gives while it holds a spool"),
     (

@@ -89,7 +89,7 @@ def test_a_search_begins_at_the_fitted_response(first, second):
     model = TransferFunction((0.9 * denominator[-1],), tuple(map(float, denominator)))
     order = len(denominator) - 1
     nothing = (float("nan"),)
-    fit = rational.Fit(order, model, 0.001, (), nothing, nothing, 0.0, 0.0, 0.0, None)
+    fit = rational.Fit(order, model, 0.001, (), nothing, nothing, 0.0, 0.0, 0.0, None, None)
     form = plant._Form(order, 1, 1.2, 0.001)
     made = form.plant(form.inside(plant._parameters(fit, Friction(0.3, 1.2), -0.1, 0.001)))
     # As responses: where two poles are nearly equal they are not well determined.

@@ -51,6 +51,7 @@ def add_commands(commands: Any) -> None:
     )
     identify.add_argument(
         "--data-sheet",
+        action="extend",
         nargs="*",
         metavar="NAME=VALUE",
         help="use the valve of a data sheet without a test (natural_frequency=18 damping=0.8 hysteresis=4); "

@@ -35,7 +35,6 @@ LEAST_STRETCH = 100  # samples
 MOST_WINDOWS, WINDOW, PAST, FEEDBACK_LAGS = 100, 400, 6, 4
 ALIKE = 0.3  # mean correlation from which on there is feedback
 NEW = 1e-6  # of the voltage, below which nothing in it is new
-NEXT = "record a stepped sine or a sweep of 60 s from 0.5 Hz on, with a larger amplitude"
 DIVERGED = 1e3  # times u_max, beyond which a position has run away
 
 
@@ -221,9 +220,10 @@ def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | 
         )
     lowest, highest = float(measured.frequency[0]), float(measured.frequency[-1])
     if highest < SPAN * lowest:
+        reasons = "; ".join(measured.notes) or "the test has no other frequencies"
         raise ParameterError(
             f"the response is known from {lowest:.4g} to {highest:.4g} Hz alone, and a model needs it over "
-            f"{SPAN:g}:1 at least: {'; '.join(measured.notes) or 'the test has no other frequencies'}; {NEXT}"
+            f"{SPAN:g}:1 at least: {reasons}; {response.NEXT}"
         )
     return measured
 

@@ -35,6 +35,7 @@ BAND_BINS = 12  # at least, in it
 DEGREE = 2  # of the polynomials in it
 DISTORTED = 0.02  # of the amplitude, harmonics that are told
 APART = 0.1  # of a voltage's spectrum in a band, what must not look like a transient
+NEXT = "record a stepped sine or a sweep of 60 s from 0.5 Hz on, with a larger amplitude"
 SILENT = 1e-3  # of the largest amplitude, below which a voltage does not move
 
 
@@ -254,7 +255,7 @@ def _response(
 ) -> Response:
     if not points:
         reason = notes[0] if notes else "no frequency was excited"
-        raise ParameterError(f"no frequency can be used: {reason}")
+        raise ParameterError(f"no frequency can be used: {reason}; {NEXT}")
     columns = list(zip(*sorted(points, key=lambda point: point[0]), strict=True))
     frequency, deviation, coherence = (np.array(columns[i], dtype=np.float64) for i in (0, 2, 3))
     value = np.array(columns[1], dtype=np.complex128)
