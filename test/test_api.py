@@ -30,7 +30,7 @@ def test_a_function_gives_what_the_command_writes(tmp_path, capsys):
 
 
 def test_parameters_go_from_one_task_to_the_next(tmp_path):
-    sheet = vc.identify(data_sheet={"natural_frequency": 14.0, "damping": 1.0})
+    sheet = vc.identify(data_sheet={"natural_frequency": 14.0, "damping": 1.0, "full_stroke": 9.0})
     assert sheet.parameters is not None
     sheet.parameters.save(tmp_path / "sheet.yaml")
     assert vc.load(tmp_path / "sheet.yaml")[:2] == sheet.parameters[:2]

@@ -110,3 +110,52 @@ def test_a_trajectory_is_what_gains_for_preview_are_tuned_for(run, config):
     assert 6.0 * errors[1] < errors[0] and errors[2] == errors[1]
     refused = run(*words, "--preview", "--command-period", "0.005")
     assert refused.status == 2 and "points of a trajectory have their times" in refused.err
+
+
+@pytest.mark.parametrize(
+    ("motion", "detail"),
+    [
+        (["sine", "--set", "frequency=10.0"], True),
+        (["step"], True),
+        (["sine", "--set", "frequency=0.4"], False),
+    ],
+)
+def test_a_figure_shows_a_detail_of_what_is_fast_and_says_what_it_is_of(
+    run, tmp_path, config, motion, detail
+):
+    done = run(
+        "simulate", "--controller", "pid", "--params-file", config / "d3fxe.yaml", "--duration", "3",
+        "--figure", "x.svg", "--scenario", *motion,
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    text = (tmp_path / "x.svg").read_text()
+    assert ("<!-- detail -->" in text) == detail
+    assert f"<!-- pid (d3fxe.yaml) on the valve fourth_order: {motion[0]} of " in text
+    assert " mV rms (" in text and " % of the stroke) -->" in text
+
+
+LAWS = ("dcarc", "pid", "arc")
+
+
+@pytest.mark.parametrize("order", [LAWS, LAWS[::-1], LAWS[:1]])
+def test_compare_runs_each_law_with_its_own_file(order, run, config):
+    """However the files are ordered, a law has the errors that `simulate` gives with its file alone."""
+    tuned = {law: config / "tuned" / f"d3fxe_experiment_{law}.yaml" for law in LAWS}
+    files = [word for law in order for word in ("--params-file", tuned[law])]
+    usual = ("--params-file", config / "d3fxe_experiment.yaml", "--duration", "1.0", "--json", "-")
+    status, out, _ = run("compare", *usual, *files)
+    assert status == 0
+    compared = {r["controller"]: r["indices"] for r in json.loads(out)["runs"]}
+    for law in LAWS:
+        own = ("--params-file", tuned[law]) if law in order else ("--controller", law)
+        assert compared[law] == json.loads(run("simulate", *usual, *own)[1])["indices"], law
+
+
+CUSTOM = ["--valve", "custom", "--set", "numerator=[12000.0]", "--set", "denominator=[1.0, 150.0, 12000.0]"]
+
+
+@pytest.mark.parametrize("other", [CUSTOM, ["--scenario", "sine"]])
+def test_the_papers_rows_stand_beside_its_valve_and_motion_alone(other, run, tmp_path):
+    status, out, _ = run("compare", "--duration", "1.0", "--json", "c.json", *other)
+    assert status == 0 and "paper" not in out
+    assert json.loads((tmp_path / "c.json").read_text())["paper"] == {}

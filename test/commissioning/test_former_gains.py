@@ -15,7 +15,7 @@ from valve_control.design.commissioning import gains, plant, sequence
 from valve_control.design.commissioning.bench import Plan, Record, SafetyLimits, Swings, joined, limiting
 from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.tuning.trial import TuningMotion
-from valve_control.parameter import defaults, updated
+from valve_control.parameter import ParameterError, defaults, updated
 
 LIMITS = SafetyLimits(4.0, 2.0)
 PLAN = Plan(LIMITS, "dcarc", 0.25, 20, 4, 4, 1, 1, alone=True)
@@ -118,12 +118,9 @@ def test_a_run_of_verification_has_the_lead_that_stays():
     [
         ([0.5, 0.2], [0.01, 0.01], [0.25, 0.125], 2),
         ([0.5, 0.6, 0.55], [0.01] * 3, [0.25, 0.125, 0.25 * 0.5**0.5], 1),
-        ([0.5, 0.2, 0.3], [0.01, 0.03, 0.02], [0.25, 0.125, 0.25 * 0.5**0.5], 3),
         ([0.5, 0.2, 0.4], [0.01, 0.03, 0.02], [0.25, 0.125, 0.25 * 0.5**0.5], 2),
         ([0.3, 0.2], [0.01, 0.03], [0.25, 0.25**2 / 0.3], 1),
-        ([0.5, 0.49, 0.3], [0.01] * 3, [0.25, 0.125, 0.25 * 0.5**0.5], 3),
         ([0.5, 0.49, 0.4], [0.01] * 3, [0.25, 0.125, 0.25 * 0.5**0.5], 3),
-        ([0.5, 0.2, 0.49], [0.01, 0.03, 0.012], [0.25, 0.125, 0.25 * 0.5**0.5], 2),
     ],
 )
 def test_a_loud_run_is_tuned_again_with_a_lower_limit(monkeypatch, loud, errors, limits, turn):
@@ -143,6 +140,22 @@ def test_a_loud_run_is_tuned_again_with_a_lower_limit(monkeypatch, loud, errors,
     assert asked == pytest.approx(limits) and made.tuned.turn == turn
     told = f"from {loud[0]:.3g} to {loud[turn - 1]:.3g}"
     assert (told in made.note) == (turn > 1)
+
+
+def test_a_refusal_names_the_limit_that_binds(monkeypatch):
+    """Of 40 sets of gains 40 miss one margin and 30 another."""
+    margin = {"limit": "gain margin", "wanted": 3.0, "looked_at": 40, "missed": 40, "best": 2.1}
+    rows = [{**margin, "limit": "phase margin", "wanted": 20.0, "missed": 30, "best": 35.0}, margin]
+    bad = SimpleNamespace(verified=SimpleNamespace(reasons=["too near"]))
+    made = gains.TunedGains(SimpleNamespace(law="pid", chosen=bad, limits=rows), [], {}, {})
+    run, asked = sequence.Commissioning(SupervisedValve(), PLAN, defaults(CONTROLLER), Steps()), []
+    monkeypatch.setattr(run, "_tuned", lambda *about: (asked.append(about) or [made], []))
+    binding = (
+        r"pid for a box 2 times .*too near; the gain margin binds: 40 of 40 .* best has 2.1 dB \(>= 3 dB"
+    )
+    with pytest.raises(ParameterError, match=binding):
+        run._accepted(TESTS._replace(plant=LATE._replace(error=1.0)), None)
+    assert len(asked) == 2
 
 
 def test_the_approach_of_a_verification_run_is_not_judged():
@@ -169,15 +182,3 @@ def test_the_approach_of_a_verification_run_is_not_judged():
         one = gains.judged(PLAN, values, made, motion, part)
         found.append((one.measured, one.expected, one.reasons, len(one.record.reading)))
     assert found[0] == found[1] and found[0][-1] == len(motion.wanted) - n
-
-
-def test_weights_rest_between_the_positions_in_which_0_v_can_leave_the_spool():
-    """For each 1 V a valve of gain 0.9 moves 0.9 V; friction of 0.2 V holds it 0.18 V off to either side."""
-    linear = plant.Plant(
-        TransferFunction((0.9 * 7738.0,), (1.0, 158.3, 7738.0)), Friction(0.2, 1.0), 0.0, 0.0, 1.0
-    )
-    assert gains.learning_path(linear, "dcarc", 2.0) == {"dcarc.learning_path": pytest.approx(0.36)}
-    assert gains.learning_path(linear, "dcarc", 0.1) == {"dcarc.learning_path": pytest.approx(0.2)}
-    free = linear._replace(friction=Friction(0.0, 1.0))
-    assert gains.learning_path(free, "dcarc", 2.0) == {"dcarc.learning_path": 0.0}
-    assert gains.learning_path(linear, "pid", 2.0) == {}

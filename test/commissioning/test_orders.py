@@ -4,15 +4,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from supervised import SupervisedValve, fitted
 
-from valve_control.control.plant.models import TransferFunction
-from valve_control.design.commissioning import plant
 from valve_control.design.commissioning.bench import SafetyLimits
-from valve_control.design.commissioning.evaluation import Friction
-from valve_control.design.identification import rational
 
 LIMITS = SafetyLimits(4.0, 2.0)
 
@@ -73,25 +67,3 @@ def test_a_pole_that_the_samples_do_not_show_is_not_sought_for_ever():
     assert made.friction.coulomb == pytest.approx(0.6, abs=0.03)
     assert made.model.static_gain == pytest.approx(0.829, rel=0.03)
     assert max(abs(np.roots(made.model.denominator))) < np.pi / 0.004
-
-
-SPEED = st.floats(10.0, 900.0)
-FACTOR = st.one_of(
-    st.tuples(SPEED, SPEED).map(lambda poles: np.polymul([1.0, poles[0]], [1.0, poles[1]])),
-    st.tuples(SPEED, st.floats(0.05, 0.95)).map(lambda at: np.array([1.0, 2.0 * at[1] * at[0], at[0] ** 2])),
-)
-
-
-@given(first=FACTOR, second=st.one_of(FACTOR, SPEED.map(lambda pole: np.array([1.0, pole]))))
-def test_a_search_begins_at_the_fitted_response(first, second):
-    """Also where real poles lie on either side of a pair."""
-    denominator = np.polymul(first, second)
-    model = TransferFunction((0.9 * denominator[-1],), tuple(map(float, denominator)))
-    order = len(denominator) - 1
-    nothing = (float("nan"),)
-    fit = rational.Fit(order, model, 0.001, (), nothing, nothing, 0.0, 0.0, 0.0, None, None)
-    form = plant._Form(order, 1, 1.2, 0.001)
-    made = form.plant(form.inside(plant._parameters(fit, Friction(0.3, 1.2), -0.1, 0.001)))
-    # As responses: where two poles are nearly equal they are not well determined.
-    assert responses(*made.model, made.delay) == pytest.approx(responses(*model, 0.001), rel=1e-5)
-    assert made.friction == Friction(0.3, 1.2)

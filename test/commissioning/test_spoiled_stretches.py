@@ -64,15 +64,6 @@ def test_tests_with_pauses_tell_the_same_valve(monkeypatch):
     assert all(done <= total for _, done, total in steps.reports)
 
 
-@pytest.mark.campaign
-def test_a_model_from_tests_with_pauses_is_that_of_the_valve():
-    found, *_ = made(Pausing(range(7000, 80000, 7000)))
-    assert len(found.slow.begins) > 1 and len(found.sine.begins) > 1
-    assert found.plant.model.static_gain == pytest.approx(0.829, rel=0.01)
-    assert found.plant.friction.coulomb == pytest.approx(0.6, abs=0.02)
-    assert found.plant.error < 1.3  # 1.14 without pauses
-
-
 def test_a_stretch_that_pauses_spoil_four_times_ends_it():
     valve = Pausing(every=150)
     before = valve.values()

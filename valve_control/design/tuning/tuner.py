@@ -143,7 +143,8 @@ def tuned(
         for point in ranked(front, wanted):
             if len(refused) == TRIES:
                 break
-            if any(_near(point, other) for other in refused):
+            apart = ((point.error / other.error, point.chatter / other.chatter) for other in refused)
+            if any(abs(math.log(e)) < APART and abs(math.log(c)) < APART for e, c in apart):
                 continue
             told(tried)
             limit = chatter if firm else wanted
@@ -223,10 +224,6 @@ def _shipped_keep(name: str, law: Law, problem: Problem, threads: Threads) -> bo
     except ParameterError:
         return False
     return not limit.missed(value, limit.asked(problem.limits))
-
-
-def _near(a: EvaluatedGains, b: EvaluatedGains) -> bool:
-    return abs(math.log(a.error / b.error)) < APART and abs(math.log(a.chatter / b.chatter)) < APART
 
 
 def parameters_of(law: str, values: Values, chosen: Chosen) -> Values:

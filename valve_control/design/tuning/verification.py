@@ -3,7 +3,7 @@
 """Verifies gains on valves, noise and motions that the search did not see, before they are accepted."""
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,17 +39,6 @@ class Verified(NamedTuple):
     unsettled_share: float = 0.0  # share of the steps that are not settled then
 
 
-def other_motions(motions: Sequence[TuningMotion]) -> list[TuningMotion]:
-    """The ``motions`` turned over and slower: others of the same size that the valve can follow as well."""
-    made = []
-    for motion in motions:
-        n = len(motion.wanted)
-        times = np.arange(round(n * SLOWER)) / SLOWER
-        slower = -np.interp(times, np.arange(n), motion.wanted)
-        made.append(TuningMotion(f"{motion.name}, turned over and slower", slower))
-    return made
-
-
 def verified(
     law: Law,
     problem: Problem,
@@ -67,7 +56,12 @@ def verified(
     params = law.build(trial.values_with(problem, gains))
     found = margins.margins(law, params, margins.prepared([*problem.box, *problem.plants]))
     seen = trial.run(law, problem, [gains], threads)[0]
-    others = problem._replace(motions=other_motions(problem.motions), seed=problem.seed + 500_000)
+    motions = []  # others of the same size that the valve can follow as well
+    for name, wanted in problem.motions:
+        times = np.arange(round(len(wanted) * SLOWER)) / SLOWER
+        slower = -np.interp(times, np.arange(len(wanted)), wanted)
+        motions.append(TuningMotion(f"{name}, turned over and slower", slower))
+    others = problem._replace(motions=motions, seed=problem.seed + 500_000)
     unseen = trial.run(law, others, [gains], threads)[0]
     restless = checks.after_all(law, others, gains, problem.plants, threads)
     reasons, notes = limits.margins_missed(problem.limits, found), list[str]()
@@ -89,8 +83,8 @@ def verified(
         )
     for name in ("not at rest", "pause"):
         check(name, limits.BY_NAME[name].value(law, problem, gains, threads))
-    for outcome, motions in ((seen, "the commands"), (unseen, "commands that were not seen")):
-        check("saturation", float(np.mean(outcome.saturated)), before=f"on {motions} ")
+    for outcome, commands in ((seen, "the commands"), (unseen, "commands that were not seen")):
+        check("saturation", float(np.mean(outcome.saturated)), before=f"on {commands} ")
     if chatter is not None:
         check("chatter", seen.chatter, SLACK)
     (answers,) = checks.answers(law, problem, [gains], threads)
