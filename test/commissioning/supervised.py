@@ -4,7 +4,7 @@
 
 from benchmarks import supervised
 from valve_control.design.commissioning import courses, evaluation, plant
-from valve_control.design.commissioning.bench import Fault, limiting
+from valve_control.design.commissioning.bench import Fault
 
 
 class Steps:
@@ -53,7 +53,7 @@ def driven(bench, limits):
     def silent(done):
         pass
 
-    bench.apply(limiting(bench.values(), limits))
+    bench.apply(limits.applied(bench.values()))
     rest = evaluation.at_rest(bench.drive(courses.rest(2.0), limits, silent))
     slow = bench.drive(courses.triangle(limits, 1.6, 4), limits, silent)
     static = evaluation.slow(slow, rest)

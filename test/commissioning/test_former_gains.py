@@ -12,7 +12,7 @@ from valve_control.control.analysis.indices import Indices
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.commissioning import gains, plant, sequence
-from valve_control.design.commissioning.bench import Plan, Record, SafetyLimits, Swings, joined, limiting
+from valve_control.design.commissioning.bench import Plan, Record, SafetyLimits, Swings
 from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.tuning.trial import TuningMotion
 from valve_control.parameter import ParameterError, defaults, updated
@@ -58,7 +58,7 @@ def test_a_kick_after_a_late_voltage_is_the_machine_and_any_other_the_gains():
     usual = gains._indices(quiet)
     assert gains._indices(quiet._replace(reading=kicked)) == usual
     assert gains._indices(quiet._replace(reading=np.roll(kicked, 300))).e_rms > 20.0 * usual.e_rms
-    whole = joined([quiet.part(0, 600), quiet.part(600, len(WANTED))])
+    whole = Record.joined([quiet.part(0, 600), quiet.part(600, len(WANTED))])
     assert np.array_equal(gains.steady(whole), gains.steady(quiet)) and np.mean(~gains.steady(quiet)) == 0.1
 
 
@@ -98,7 +98,7 @@ def test_a_run_of_verification_has_the_lead_that_stays():
     """Of a law that chooses none; the tests need commands without it."""
     valve = Swinging({}, {"reshaping.lead": 0.004, "command.lag": 0.002})
     before = valve.values()
-    valve.apply(limiting(before, LIMITS))
+    valve.apply(LIMITS.applied(before))
     assert valve.controller["reshaping.lead"] == 0.0
     still = [TuningMotion("none", np.zeros(10))]
     made = gains.TunedGains(SimpleNamespace(law="compensator"), still, {}, {"controller": "compensator"})

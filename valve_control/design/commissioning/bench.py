@@ -34,6 +34,20 @@ class SafetyLimits(NamedTuple):
     voltage: float  # V
     travel: float  # V  of the reading, to either side
 
+    def applied(self, before: Values) -> Values:
+        """What keeps them on a controller with the parameters ``before``, while the voltage is commanded."""
+        timeout = number(before, "command_timeout")
+        return {
+            "controller": "open_loop",
+            "open_loop.static_gain": 1.0,
+            "u_max": self.voltage,
+            "command_limit": self.voltage,
+            "command_timeout": SILENCE if timeout == 0.0 else min(timeout, SILENCE),
+            "command.bridge": 0.0,
+            "command.lag": 0.0,
+            "reshaping.lead": 0.0,
+        }
+
 
 class Plan(NamedTuple):
     """What is wanted of a commissioning."""
@@ -52,30 +66,17 @@ class Plan(NamedTuple):
     gives_way: bool = False  # whether searches run only while no other wants the core
 
 
-def limiting(before: Values, limits: SafetyLimits) -> Values:
-    """What keeps the ``limits`` on the controller, while the voltage is commanded."""
-    timeout = number(before, "command_timeout")
-    return {
-        "controller": "open_loop",
-        "open_loop.static_gain": 1.0,
-        "u_max": limits.voltage,
-        "command_limit": limits.voltage,
-        "command_timeout": SILENCE if timeout == 0.0 else min(timeout, SILENCE),
-        "command.bridge": 0.0,
-        "command.lag": 0.0,
-        "reshaping.lead": 0.0,
-    }
-
-
 def check(plan: Plan, values: Values) -> None:
     """Raise ParameterError unless ``plan`` fits a controller with these ``values``."""
-    u_max, lvdt_limit = number(values, "u_max"), number(values, "lvdt.limit")
+    u_max, most = (
+        number(values, "u_max"),
+        min(number(values, name) for name in ("lvdt.limit", "command_limit")),
+    )
     if not 0.1 <= plan.limits.voltage <= u_max:
         raise ParameterError(
             f"--max-voltage is {plan.limits.voltage:g} V; it must lie between 0.1 V and u_max, {u_max:g} V"
         )
-    if not 0.2 <= plan.limits.travel <= min(lvdt_limit, number(values, "command_limit")):
-        most = min(lvdt_limit, number(values, "command_limit"))
+    if not 0.2 <= plan.limits.travel <= most:
         raise ParameterError(
             f"--travel is {plan.limits.travel:g} V; it must lie between 0.2 V and the smaller of lvdt.limit "
             f"and command_limit, {most:g} V"
@@ -89,7 +90,7 @@ def check(plan: Plan, values: Values) -> None:
         )
     if not LAWS[plan.law].free:
         raise ParameterError(f"{plan.law} has no gains to choose; there is nothing to tune")
-    updated(CONTROLLER, values, limiting(values, plan.limits))
+    updated(CONTROLLER, values, plan.limits.applied(values))
 
 
 class Instant(NamedTuple):
@@ -134,20 +135,20 @@ class Record(NamedTuple):
         ends = (*self.begins[1:], len(self.reading))
         return [self.part(first, end) for first, end in zip(self.begins, ends, strict=True)]
 
-
-def joined(parts: Sequence[Record]) -> Record:
-    """One record of several, whose parts stay apart."""
-    if len(parts) == 1:
-        return parts[0]
-    begins, count = [], 0
-    for part in parts:
-        begins += [count + begin for begin in part.begins]
-        count += len(part.reading)
-    reading, voltage, command, latency, late = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("reading", "voltage", "command", "latency", "late")
-    )
-    return Record(parts[0].period, reading, voltage, command, tuple(begins), latency, late)
+    @staticmethod
+    def joined(parts: "Sequence[Record]") -> "Record":
+        """One record of several, whose parts stay apart."""
+        if len(parts) == 1:
+            return parts[0]
+        begins, count = [], 0
+        for part in parts:
+            begins += [count + begin for begin in part.begins]
+            count += len(part.reading)
+        reading, voltage, command, latency, late = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("reading", "voltage", "command", "latency", "late")
+        )
+        return Record(parts[0].period, reading, voltage, command, tuple(begins), latency, late)
 
 
 class Diagnosis(NamedTuple):

@@ -19,18 +19,7 @@ import numpy as np
 from valve_control import interrupts, priority
 from valve_control.control.analysis.timing import Spread, spread
 from valve_control.design.commissioning import courses, evaluation, gains, model, plant
-from valve_control.design.commissioning.bench import (
-    Bench,
-    Course,
-    Fault,
-    Mark,
-    Pause,
-    Plan,
-    Record,
-    Swings,
-    joined,
-    limiting,
-)
+from valve_control.design.commissioning.bench import Bench, Course, Fault, Mark, Pause, Plan, Record, Swings
 from valve_control.design.commissioning.evaluation import Rest, Static
 from valve_control.design.commissioning.gains import TunedGains, Verification, VerifyingMotion
 from valve_control.design.commissioning.plant import Plant
@@ -268,7 +257,7 @@ class Commissioning:
 
     def _open_loop(self) -> None:
         """From inactive to 0 V: open loop within the limits, the other parameters as before."""
-        restore(self._bench, {**self._before, **limiting(self._before, self._limits)})
+        restore(self._bench, {**self._before, **self._limits.applied(self._before)})
         self._at_rest(SPRING)
         self._bench.apply({"lvdt.limit": self._limits.travel})
 
@@ -489,7 +478,7 @@ class Commissioning:
                         self._at_rest(SPRING)
                     record = self._bench.drive(course(first, mark), self._limits, progress)
                     progress(math.inf)
-                    return joined([*parts, chosen(record, first, len(record.reading))])
+                    return Record.joined([*parts, chosen(record, first, len(record.reading))])
                 except Pause as pause:
                     self._pauses[name] += 1
                     stretch, at = marks[-1]

@@ -57,10 +57,10 @@ def verified(
     found = margins.margins(law, params, margins.prepared([*problem.box, *problem.plants]))
     seen = trial.run(law, problem, [gains], threads)[0]
     motions = []  # others of the same size that the valve can follow as well
-    for name, wanted in problem.motions:
-        times = np.arange(round(len(wanted) * SLOWER)) / SLOWER
-        slower = -np.interp(times, np.arange(len(wanted)), wanted)
-        motions.append(TuningMotion(f"{name}, turned over and slower", slower))
+    for motion in problem.motions:
+        times = np.arange(round(len(motion.wanted) * SLOWER)) / SLOWER
+        slower = -np.interp(times, np.arange(len(motion.wanted)), motion.wanted)
+        motions.append(TuningMotion(f"{motion.name}, turned over and slower", slower))
     others = problem._replace(motions=motions, seed=problem.seed + 500_000)
     unseen = trial.run(law, others, [gains], threads)[0]
     restless = checks.after_all(law, others, gains, problem.plants, threads)
