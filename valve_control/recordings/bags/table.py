@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from valve_control.arrays import Floats, Integers
 from valve_control.control.drivers.scaling import Scale, ScaleError, parse
@@ -69,8 +68,8 @@ class TableFile:
             Topic(absolute(name), FLOAT, flaw=column.flaw)
             for name, column in zip(self._topic_names(), self.columns, strict=True)
         ]
-        self.times: list[Integers] = [np.empty(0, dtype=np.int64)] * len(self.columns)  # ns, of their rows
-        self.timed: list[npt.NDArray[np.bool_]] = [np.empty(0, dtype=np.bool_)] * len(self.columns)
+        none = np.empty(0, dtype=np.int64)
+        self.times = [(none, none)] * len(self.columns)  # rows that have a time, and these times [ns]
         self.clock = ""  # what these times are of
 
     def _topic_names(self) -> list[str]:
@@ -159,7 +158,7 @@ class TableFile:
         column = self.columns[at]
         if column.flaw:
             raise BagError(f"{self.path}: {column.flaw}")
-        return np.where(column.filled, column.values, np.nan)
+        return column.values
 
     def _take_own(self, notes: list[str]) -> None:
         """Take the times of the columns that are times by their names. Raises BagError."""
@@ -220,15 +219,14 @@ class TableFile:
                 )
                 self.columns[i] = column._replace(flaw=flaw)
                 self.topics[i] = self.topics[i]._replace(flaw=flaw)
-        filled = [self.columns[i].filled for i in own if not self.columns[i].flaw]
+        filled = [~np.isnan(self.columns[i].values) for i in own if not self.columns[i].flaw]
         rows = np.flatnonzero(np.logical_or.reduce(filled)) if filled else np.arange(count)
         self._check(rows, values[rows], scale, notes)
-        times = np.zeros(count, dtype=np.int64)
-        times[rows] = np.round((values[rows] * scale.factor + scale.offset) * 1e9).astype(np.int64)
+        times = np.round((values[rows] * scale.factor + scale.offset) * 1e9).astype(np.int64)
         for i in own:
-            self.times[i], self.timed[i] = times, np.isfinite(values)
+            self.times[i] = rows, times
 
-    def _check(self, rows: Integers, values: npt.NDArray[np.float64], scale: Scale, notes: list[str]) -> None:
+    def _check(self, rows: Integers, values: Floats, scale: Scale, notes: list[str]) -> None:
         """Raise BagError unless ``values`` times ``scale`` are times of ``rows`` one after the other."""
         path, clock = self.path, self.clock
         if len(values) < 2:
@@ -262,18 +260,17 @@ class TableFile:
 
     def row_times(self, topic: str) -> tuple[Integers, Integers]:
         """Rows that have a time for the column of this topic, and their times [ns]."""
-        at = next(i for i, known in enumerate(self.topics) if known.name == topic)
-        rows = np.flatnonzero(self.timed[at])
-        return rows, self.times[at][rows]
+        return self.times[next(i for i, known in enumerate(self.topics) if known.name == topic)]
 
     def notes_on(self, topics: Sequence[str]) -> list[str]:
         """Where cells of the columns ``topics`` are empty, and what their units are where they do not say."""
         found = [i for i, topic in enumerate(self.topics) if topic.name in topics]
         used, notes = [self.columns[i] for i in found], []
         for i, column in zip(found, used, strict=True):
-            if empty := np.count_nonzero(self.timed[i] & ~column.filled):
-                name, count = self.topics[i].name.removeprefix("/"), np.count_nonzero(self.timed[i])
-                notes.append(f"{name} is empty in {empty} of {count} rows")
+            rows = self.times[i][0]
+            if empty := np.count_nonzero(np.isnan(column.values[rows])):
+                name = self.topics[i].name.removeprefix("/")
+                notes.append(f"{name} is empty in {empty} of {len(rows)} rows")
         unknown = [c for c in used if c.unit and c.unit.lower() not in UNITS]
         notes += [f"the unit {c.unit} of {c.bare_name} is not known: it counts as V" for c in unknown]
         if used and not any(c.unit for c in used):
