@@ -356,6 +356,26 @@ def test_what_an_extra_reads_is_said_without_it(tmp_path, reference, monkeypatch
     assert valve and any("extra logs" in note for note in load(tmp_path / "log.mat", PLAIN).problems)
 
 
+@pytest.mark.parametrize(("first", "count"), [(200, 60), (300, 300), (700, 10)])
+def test_rows_that_are_missing_are_told(tmp_path, reference, first, count):
+    table = np.delete(rows(reference), slice(first, first + count), axis=0)
+    (tmp_path / "t.csv").write_text(HEADER + text(table))
+    note = f"the first from row {first} to row {first + 1}, by {(count + 1) * 1e-3:.4g} s: rows are missing"
+    assert any(note in problem for problem in load(tmp_path / "t.csv", PLAIN).problems)
+
+
+def test_a_group_that_is_not_used_costs_nothing(tmp_path, reference):
+    """A group of one sample has no period; only what needs it is refused."""
+    time, _, reading, voltage = rows(reference).T
+    with MDF() as file:
+        file.append([Signal(reading, time, name="lvdt"), Signal(voltage, time, name="u")])
+        file.append([Signal(np.ones(1), time[:1], name="start")])
+        file.save(tmp_path / "log.mf4")
+    assert len(align(load(tmp_path / "log.mf4", PLAIN[1:]).valves["valve"]).time) == len(time)
+    with pytest.raises(BagError, match="has 1 row"):
+        load(tmp_path / "log.mf4", [*PLAIN[1:], "spool_command=start"])
+
+
 def test_units_are_told_where_they_are_not_known(tmp_path, reference):
     for units, note in (
         ("", "no column has a unit: all count as V"),
