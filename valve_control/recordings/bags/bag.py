@@ -114,13 +114,6 @@ class Bag:
         """The table that is read as a bag, None of others."""
         return next((file for file in self._files if isinstance(file, TableFile)), None)
 
-    def take_times(self, maps: Sequence[str]) -> list[str]:
-        """Give the rows of a table their times by the ``maps``; returns the others. Raises BagError."""
-        assert self.table is not None
-        rest = self.table.take_times(maps, self.problems)
-        self.topics = {topic.name: topic for topic in self.table.topics}
-        return rest
-
     @property
     def size(self) -> int:
         """Bytes of all files."""

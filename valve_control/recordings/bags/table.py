@@ -276,8 +276,9 @@ class TableFile:
             usual = np.median(steps[steps > 0.0]) if steps.any() else np.inf
             for gap in (gaps := np.flatnonzero(steps > GAP * usual))[:1]:
                 notes.append(
-                    f"the time leaps by more than {GAP:g} usual steps in {len(gaps)} place(s), the first from "
-                    f"row {rows[gap] + 1} to row {rows[gap + 1] + 1}, by {steps[gap]:.4g} s: rows are missing"
+                    f"the time leaps by more than {GAP:g} usual steps in {len(gaps)} place(s), the first "
+                    f"from row {rows[gap] + 1} to row {rows[gap + 1] + 1}, by {steps[gap]:.4g} s: rows are "
+                    "missing"
                 )
             if empty := np.count_nonzero(np.isnan(column.values[rows])):
                 name = self.topics[i].name.removeprefix("/")
