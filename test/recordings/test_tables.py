@@ -100,7 +100,7 @@ TEXTS = {
         ["time=1*0.001", "spool_command=2", "spool_position=3", "valve_voltage=4"],
     ),
     "spaces, a remark as header": (
-        lambda t: "% logged by hand\n# time command lvdt u\n" + text(t, "  "),
+        lambda t: "% logged by hand\n#\n# time command lvdt u\n" + text(t, "  "),
         PLAIN,
     ),
     "spaces and decimal commas": (

@@ -11,6 +11,7 @@ import functools
 import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -102,7 +103,7 @@ def _text(path: Path, notes: list[str]) -> list[Column]:
     _, count, first, separator = max(forms, key=lambda form: form[:2])
     above = [[cell.strip() for cell in _cells(line.lstrip("#% "), separator)] for _, line in head[:first]]
     begin = head[first][0]
-    labview = next((cells for cells in above if cells[0] == "X_Value"), None)
+    labview = next((cells for cells in above if cells[:1] == ["X_Value"]), None)
     if labview is not None:  # of whose rows some only have the last cell, a remark
         begin, count = head[above.index(labview)][0] + 1, len(labview) - (labview[-1] == "Comment")
         more = [i for i, line in enumerate(lines[begin:], begin) if line.startswith("Channels")]
@@ -116,8 +117,10 @@ def _text(path: Path, notes: list[str]) -> list[Column]:
     if last < before:
         notes.append(f"line {len(lines)}, the last one, has {last} of {before} entries and is left out")
         lines.pop()
-    names, units = _names(above, count)
     body = lines[begin - 1 :]
+    if not any(line.strip(" \t,;") and not line.startswith(COMMENTS) for line in body):
+        raise BagError(f"{path} has no row of numbers behind line {begin - 1}")
+    names, units = _names(above, count)
     values = _plain(body, separator)
     if values is not None and values.shape[1] == count:
         found = [Column(*column) for column in zip(names, values.T.copy(), [""] * count, units, strict=True)]
@@ -129,24 +132,21 @@ def _text(path: Path, notes: list[str]) -> list[Column]:
                 zip(names, units, zip(*rows, strict=True), strict=True), 1
             )
         ]
+    header = dict(cells[:2] for cells in above if len(cells) > 1)
     if labview is not None and np.isnan(found[0].values).all():
-        begins, steps = (
-            next((_number(cells[1], separator) for cells in above if cells[0] == key), np.nan)
-            for key in ("X0", "Delta_X")
-        )
-        times = begins + steps * np.arange(len(found[0].values), dtype=np.float64)
-        found[0] = Column("X_Value", times, unit="s")
+        with suppress(KeyError, ValueError):  # there are no times then
+            begins, step = (_number(header[key], separator) for key in ("X0", "Delta_X"))
+            times = begins + step * np.arange(len(found[0].values), dtype=np.float64)
+            found[0] = Column("X_Value", times, unit="s")
     return _with_dates(found)
 
 
 def _plain(lines: Sequence[str], separator: str) -> Floats | None:
     """What ``lines`` hold if they are nothing but rows of numbers, None otherwise."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # of lines without data
-            delimiter = None if separator == " " else separator
-            return np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
-    except (ValueError, UserWarning):
+        delimiter = None if separator == " " else separator
+        return np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
+    except ValueError:
         return None
 
 
