@@ -100,7 +100,7 @@ TEXTS = {
         ["time=1*0.001", "spool_command=2", "spool_position=3", "valve_voltage=4"],
     ),
     "spaces, a remark as header": (
-        lambda t: "% logged by hand\n# time command lvdt u\n" + text(t, "  "),
+        lambda t: "% logged by hand\n#\n# time command lvdt u\n" + text(t, "  "),
         PLAIN,
     ),
     "spaces and decimal commas": (
@@ -356,6 +356,26 @@ def test_what_an_extra_reads_is_said_without_it(tmp_path, reference, monkeypatch
     assert valve and any("extra logs" in note for note in load(tmp_path / "log.mat", PLAIN).problems)
 
 
+@pytest.mark.parametrize(("first", "count"), [(200, 60), (300, 300), (700, 10)])
+def test_rows_that_are_missing_are_told(tmp_path, reference, first, count):
+    table = np.delete(rows(reference), slice(first, first + count), axis=0)
+    (tmp_path / "t.csv").write_text(HEADER + text(table))
+    note = f"the first from row {first} to row {first + 1}, by {(count + 1) * 1e-3:.4g} s: rows are missing"
+    assert any(note in problem for problem in load(tmp_path / "t.csv", PLAIN).problems)
+
+
+def test_a_group_that_is_not_used_costs_nothing(tmp_path, reference):
+    """A group of one sample has no period; only what needs it is refused."""
+    time, _, reading, voltage = rows(reference).T
+    with MDF() as file:
+        file.append([Signal(reading, time, name="lvdt"), Signal(voltage, time, name="u")])
+        file.append([Signal(np.ones(1), time[:1], name="start")])
+        file.save(tmp_path / "log.mf4")
+    assert len(align(load(tmp_path / "log.mf4", PLAIN[1:]).valves["valve"]).time) == len(time)
+    with pytest.raises(BagError, match="has 1 row"):
+        load(tmp_path / "log.mf4", [*PLAIN[1:], "spool_command=start"])
+
+
 def test_units_are_told_where_they_are_not_known(tmp_path, reference):
     for units, note in (
         ("", "no column has a unit: all count as V"),
@@ -471,7 +491,7 @@ def test_matlab_files_that_cannot_be_used(tmp_path):
     cases = {
         "hdf5": (
             b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\x02IM" + b"\x89HDF\r\n\x1a\n",
-            "not a MATLAB file",
+            "cannot be read",
         ),
         "torn": (
             b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\x01IM" + b"\x0f\0\0\0\xff\0\0\0abc",

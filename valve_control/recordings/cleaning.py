@@ -217,7 +217,18 @@ def clean(
     pairs = paired(recorded, received) if table is None else by_row(recorded, table)
     if pairs is not None:
         recorded = {part: one._replace(time=pairs.times[part]) for part, one in recorded.items()}
-        problems.append(_note(pairs, table is not None))
+        if pairs.crossed:
+            problems.append(
+                "command, reading and voltage of a row count as those of one sample; no latency is told"
+                if table is not None
+                else "times of recording do not tell which voltage answers which reading of "
+                f"{pairs.lead}; they are paired by number, and no latency is told"
+            )
+        else:
+            problems.append(
+                f"stamps on {pairs.lead} have a resolution of {1e3 * pairs.resolution:.4g} ms, which is too "
+                "coarse for latency, jitter and gaps; messages are paired by their order"
+            )
         for part in pairs.vague:
             problems.append(
                 f"the file has topic after topic within a stamp, so the times on {recorded[part].topic} are "
@@ -234,22 +245,6 @@ def clean(
         vague = pairs is not None and part in pairs.vague
         usable[part] = samples.pick(slice(0, 0)) if vague else samples if keep.all() else samples.pick(keep)
     return Cleaned(recorded, usable, pairs)
-
-
-def _note(pairs: Pairs, rows: bool) -> str:
-    """How the signals are paired with the readings."""
-    name = pairs.lead
-    if pairs.crossed and rows:
-        return "command, reading and voltage of a row count as those of one sample; no latency is told"
-    if pairs.crossed:
-        return (
-            f"times of recording do not tell which voltage answers which reading of {name}; they are paired "
-            "by number, and no latency is told"
-        )
-    return (
-        f"stamps on {name} have a resolution of {1e3 * pairs.resolution:.4g} ms, which is too coarse for "
-        "latency, jitter and gaps; messages are paired by their order"
-    )
 
 
 def unusable(topic: str, field: str, series: Series) -> list[str]:

@@ -15,7 +15,6 @@ import numpy as np
 from valve_control.arrays import Integers
 from valve_control.recordings.bags.bag import FAR, Series, stretch
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.table import TableFile
 
 SMALL_DISORDER = 0.1  # s by which messages may be out of order
 BACK = 2.0  # usual intervals by which time goes back, between messages in order, where the clock was set
@@ -64,13 +63,6 @@ def leaps(time: Integers, sequence: Integers) -> Integers:
     usual = float(np.median(intervals)) if in_order(sequence) else np.inf
     back = -min(SMALL_DISORDER * 1e9, BACK * max(usual, 0.0))
     return np.flatnonzero((intervals < back) | (intervals > FAR * 1e9))
-
-
-def of_table(table: TableFile, wanted: str | None) -> Clock:
-    """The clock of a table's rows. Raises BagError if another is ``wanted``."""
-    if wanted is not None:
-        raise BagError(f"--clock {wanted}: {table.path} is a table, whose rows have one time ({table.clock})")
-    return Clock(table.clock)
 
 
 def decide(

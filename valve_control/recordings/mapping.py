@@ -96,7 +96,8 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     """
     timed = [text for text in maps if text.partition("=")[0].strip() == TIME]
     if bag.table is not None:
-        maps = bag.take_times(maps)
+        maps = bag.table.take_times(maps, bag.problems)
+        bag.topics = {topic.name: topic for topic in bag.table.topics}
     elif timed:
         raise BagError(f"--map {timed[0]}: {bag.path} has times of its own; only a table's are mapped")
     columns = [] if bag.table is None else zip(bag.table.topics, bag.table.columns, strict=True)

@@ -20,7 +20,7 @@ from valve_control.recordings.bags.cdr import Decoder, deserialized
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.table import TableFile
 from valve_control.recordings.cleaning import Samples, clean, seconds
-from valve_control.recordings.clocks import Clock, decide, of_table, without_strays
+from valve_control.recordings.clocks import Clock, decide, without_strays
 from valve_control.recordings.mapping import PARTS, STATE_TYPE, ValveTopics, find_valves
 
 ESTIMATES = ("a1", "a0", "b0", "b0dn")
@@ -140,7 +140,9 @@ def load(
     last = None if end is None else bag.begin + nanoseconds(end, "--to")
     read = bag.read(fields, raw, states, None if start is None else first, last)
     series = without_strays(read, bag.problems)
-    used = of_table(bag.table, clock) if bag.table is not None else decide(series, groups, clock, bag.path)
+    if bag.table is not None and clock is not None:
+        raise BagError(f"--clock {clock}: {path} is a table, whose rows have one time ({bag.table.clock})")
+    used = decide(series, groups, clock, bag.path) if bag.table is None else Clock(bag.table.clock)
     bag.problems += used.notes
     series = used.read(series)
     if used.apart:

@@ -114,13 +114,6 @@ class Bag:
         """The table that is read as a bag, None of others."""
         return next((file for file in self._files if isinstance(file, TableFile)), None)
 
-    def take_times(self, maps: Sequence[str]) -> list[str]:
-        """Give the rows of a table their times by the ``maps``; returns the others. Raises BagError."""
-        assert self.table is not None
-        rest = self.table.take_times(maps, self.problems)
-        self.topics = {topic.name: topic for topic in self.table.topics}
-        return rest
-
     @property
     def size(self) -> int:
         """Bytes of all files."""
@@ -140,7 +133,7 @@ class Bag:
     def begin(self) -> int:
         """Log time [ns] of the first message, 0 if there are none; not of one hours from all near it."""
         if self.table is not None:
-            return min((int(time[0]) for time in self.table.times if len(time)), default=0)
+            return min((int(time[0]) for _, time in self.table.times if len(time)), default=0)
         firsts = filter(None, map(_first_block, self._files))
         return min((stretch(block.log_time)[0] for block in firsts), default=0)
 
@@ -220,15 +213,12 @@ class Bag:
         assert self.table is not None
         if set(fields) != {"data"}:
             raise BagError(f"{name} is a column of {self.path}, which has no {', '.join(fields)}")
-        at = self.table.topics.index(self.topic(name))
-        column, time = self.table.columns[at], self.table.times[at]
-        chosen = (
-            column.filled
-            & (time >= (-np.inf if start is None else start))
-            & (time < (np.inf if end is None else end))
-        )
-        place, time = np.flatnonzero(chosen), time[chosen]
-        numbers, values = np.zeros(len(time), dtype=np.int64), column.values[chosen]
+        rows, time = self.table.row_times(name)
+        values = self.table.columns[self.table.topics.index(self.topic(name))].values[rows]
+        chosen = ~np.isnan(values) & (time >= (-np.inf if start is None else start))
+        chosen &= time < (np.inf if end is None else end)
+        place, time, values = rows[chosen], time[chosen], values[chosen]
+        numbers = np.zeros(len(time), dtype=np.int64)
         return Series(time, time, numbers, place, {"data": values}, {}, [], 0, "", {})
 
     def topic(self, name: str) -> Topic:

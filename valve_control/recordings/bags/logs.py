@@ -11,19 +11,18 @@ import functools
 import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from valve_control.arrays import Floats
 from valve_control.recordings.bags.errors import BagError
 
 SEPARATORS = (";", "\t", ",", " ")
 HEAD = 50  # lines among which the first row of numbers is
-ROWS = 50_000  # that are taken at once
 COMMENTS = ("#", "%")
 MISSING = {"", "na", "n/a", "null"}
 THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
@@ -42,7 +41,8 @@ STAMP = re.compile(
     r"(?:(\d{4})([-/.])(\d\d?)\2(\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4}))?"
     r"(?:(?:^|[T ,;])\s*(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?)?(?:Z|[+-]\d\d:?\d\d)?"
 )  # date, time of day, or both; zones are not regarded
-DAY = 86_400 * 10**9  # ns
+DAY = 86_400  # s
+EXTRA = "pip install valve_control[logs]"
 LONGEST = 40  # characters of a cell that are shown
 
 
@@ -50,8 +50,7 @@ class Column(NamedTuple):
     """A column of a table."""
 
     name: str  # "" without header; of a MATLAB file the path of a vector
-    values: Floats
-    filled: npt.NDArray[np.bool_]  # rows in which it is not empty
+    values: Floats  # NaN where it is empty
     flaw: str = ""  # why it cannot be used
     unit: str = ""  # as the file names it
     label: str = ""  # of the signal, as it stands beside the numbers
@@ -69,7 +68,14 @@ def read(path: Path, notes: list[str]) -> list[Column]:
 
     ``notes``: what is left out. Raises BagError without any numbers, OSError if the file cannot be read.
     """
-    return KINDS[path.suffix.lower()][1](path, notes)
+    kind, reader = KINDS[path.suffix.lower()]
+    try:
+        return reader(path, notes)
+    except (BagError, OSError):
+        raise
+    except Exception as error:  # the libraries raise what they meet
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise BagError(f"{path} is not a {kind} file that can be read: {reason}") from error
 
 
 # Text
@@ -91,13 +97,13 @@ def _text(path: Path, notes: list[str]) -> list[Column]:
     lines, binary = text.splitlines(), "\0" in text
     del data, text
     head = [(i, line) for i, line in enumerate(lines[: 4 * HEAD], start=1) if line.strip()][:HEAD]
-    found = [form for separator in SEPARATORS for form in (_first_row(head, separator),) if form]
-    if binary or not found:
+    forms = [form for separator in SEPARATORS for form in (_first_row(head, separator),) if form]
+    if binary or not forms:
         raise BagError(f"{path} is no table of numbers: none of its first {HEAD} lines is a row of them")
-    _, count, first, separator = max(found, key=lambda form: form[:2])
+    _, count, first, separator = max(forms, key=lambda form: form[:2])
     above = [[cell.strip() for cell in _cells(line.lstrip("#% "), separator)] for _, line in head[:first]]
     begin = head[first][0]
-    labview = next((cells for cells in above if cells[0] == "X_Value"), None)
+    labview = next((cells for cells in above if cells[:1] == ["X_Value"]), None)
     if labview is not None:  # of whose rows some only have the last cell, a remark
         begin, count = head[above.index(labview)][0] + 1, len(labview) - (labview[-1] == "Comment")
         more = [i for i, line in enumerate(lines[begin:], begin) if line.startswith("Channels")]
@@ -111,60 +117,67 @@ def _text(path: Path, notes: list[str]) -> list[Column]:
     if last < before:
         notes.append(f"line {len(lines)}, the last one, has {last} of {before} entries and is left out")
         lines.pop()
-    columns = [_Cells(separator) for _ in range(count)]
+    body = lines[begin - 1 :]
+    if not any(line.strip(" \t,;") and not line.startswith(COMMENTS) for line in body):
+        raise BagError(f"{path} has no row of numbers behind line {begin - 1}")
+    names, units = _names(above, count)
+    values = _plain(body, separator)
+    if values is not None and values.shape[1] == count:
+        found = [Column(*column) for column in zip(names, values.T.copy(), [""] * count, units, strict=True)]
+    else:
+        numbers, rows = _rows(path, body, begin, separator, count, labview is not None, notes)
+        found = [
+            _column(name, unit, at, cells, numbers, separator)
+            for at, (name, unit, cells) in enumerate(
+                zip(names, units, zip(*rows, strict=True), strict=True), 1
+            )
+        ]
+    header = dict(cells[:2] for cells in above if len(cells) > 1)
+    if labview is not None and np.isnan(found[0].values).all():
+        with suppress(KeyError, ValueError):  # there are no times then
+            begins, step = (_number(header[key], separator) for key in ("X0", "Delta_X"))
+            times = begins + step * np.arange(len(found[0].values), dtype=np.float64)
+            found[0] = Column("X_Value", times, unit="s")
+    return _with_dates(found)
+
+
+def _plain(lines: Sequence[str], separator: str) -> Floats | None:
+    """What ``lines`` hold if they are nothing but rows of numbers, None otherwise."""
+    try:
+        delimiter = None if separator == " " else separator
+        return np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
+    except ValueError:
+        return None
+
+
+def _rows(
+    path: Path, lines: Sequence[str], begin: int, separator: str, count: int, cut: bool, notes: list[str]
+) -> tuple[list[int], list[list[str]]]:
+    """Numbers of the lines from ``begin`` on, and their cells, without remarks and empty rows.
+
+    Rows can end with the last channel that has values; ``cut``: they can have more cells than ``count``.
+    Raises BagError for others.
+    """
+    numbers, rows = [], []
     width, short, empty = count, begin, 0  # of the rows so far, since which line, and rows without a value
-    plain = separator == "," or not any("," in line for line in lines[begin - 1 :])
-    for start in range(begin - 1, len(lines), ROWS):
-        if plain and width == count and _take_numbers(columns, lines[start : start + ROWS], separator):
+    for number, line in enumerate(lines, begin):
+        if line.startswith(COMMENTS) or not line.strip(" \t,;"):
+            empty += bool(line.strip()) and not line.startswith(COMMENTS)
             continue
-        numbers, rows = [], []
-        for number, line in enumerate(lines[start : start + ROWS], start + 1):
-            if line.startswith(COMMENTS) or not line.strip(" \t,;"):
-                empty += bool(line.strip()) and not line.startswith(COMMENTS)
-                continue
-            row = _cells(line, separator)[: count if labview else None]
-            if len(row) > width:
-                at, has = (number, len(row)) if width == count else (short, width)
-                raise BagError(
-                    f"{path}: line {at} has {has} entries, line {begin} has {count}; all rows need the same "
-                    "number"
-                )
-            if len(row) < width:
-                width, short = len(row), number
-            numbers.append(number)
-            rows.append(row if len(row) == count else [*row, *[""] * (count - len(row))])
-        for column, cells in zip(columns, zip(*rows, strict=True), strict=False):
-            column.take(cells, numbers)
+        row = _cells(line, separator)[: count if cut else None]
+        if len(row) > width:
+            at, has = (number, len(row)) if width == count else (short, width)
+            raise BagError(
+                f"{path}: line {at} has {has} entries, line {begin} has {count}; "
+                "all rows need the same number"
+            )
+        if len(row) < width:
+            width, short = len(row), number
+        numbers.append(number)
+        rows.append(row if len(row) == count else [*row, *[""] * (count - len(row))])
     if empty:
         notes.append(f"{empty} empty rows are left out")
-    found_columns = [
-        column.result(name, unit, at)
-        for at, (column, name, unit) in enumerate(zip(columns, *_names(above, count), strict=True), start=1)
-    ]
-    if labview is not None and not found_columns[0].filled.any():
-        begins, steps = (
-            next((_number(cells[1], separator) for cells in above if cells[0] == key), np.nan)
-            for key in ("X0", "Delta_X")
-        )
-        times = begins + steps * np.arange(len(found_columns[0].values), dtype=np.float64)
-        found_columns[0] = Column("X_Value", times, np.isfinite(times), unit="s")
-    return _with_dates(found_columns)
-
-
-def _take_numbers(columns: Sequence["_Cells"], lines: Sequence[str], separator: str) -> bool:
-    """Take all of ``lines`` into the ``columns`` if they hold nothing but numbers."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # of lines without data
-            delimiter = None if separator == " " else separator
-            values = np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
-    except (ValueError, UserWarning):
-        return False
-    if values.shape != (len(lines), len(columns)):
-        return False
-    for column, numbers in zip(columns, values.T, strict=True):
-        column.take_numbers(numbers)
-    return True
+    return numbers, rows
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -229,7 +242,7 @@ def _names(above: Sequence[list[str]], count: int) -> tuple[list[str], list[str]
     TwinCAT Scope and LabVIEW name their lines; TwinCAT also the columns of times.
     """
     fitting = [cells[:count] for cells in above if len(cells) >= count and not any(cells[count + 1 :])]
-    named = {cells[0]: cells for cells in reversed(fitting)}
+    named = {cells[0]: cells for cells in fitting}
     units = [""] * count
     if "SampleTime[ms]" in named and "Name" in named:
         times = [cell == "Name" for cell in named["Name"]]
@@ -250,74 +263,41 @@ def _names(above: Sequence[list[str]], count: int) -> tuple[list[str], list[str]
     ]
 
 
-class _Cells:
-    """Takes the numbers, or the dates and times, out of the cells of one column, piece by piece."""
-
-    def __init__(self, separator: str) -> None:
-        self._separator = separator
-        self._pieces: list[npt.NDArray[Any]] = [np.empty(0, dtype=np.int64)]
-        self._filled: list[npt.NDArray[np.bool_]] = [np.empty(0, dtype=np.bool_)]
-        self._first = ""  # cell that is not empty
-        self._comma, self._point, self._thousands = "", False, True
-        self._flaw = ""
-
-    def take_numbers(self, values: Floats) -> None:
-        """Take ``values``, which stand there as plain numbers."""
-        self._first = self._first or "0"
-        self._pieces.append(values.copy())
-        self._filled.append(np.ones(len(values), dtype=np.bool_))
-
-    def take(self, cells: Sequence[str], lines: Sequence[int]) -> None:
-        """Take ``cells``, which stand in these ``lines``."""
-        filled, values = np.ones(len(cells), dtype=np.bool_), np.full(len(cells), np.nan)
-        text, plain = "".join(cells), cells
-        self._first = self._first or next((c for c in map(str.strip, cells) if c.lower() not in MISSING), "")
-        stamps = STAMP.fullmatch(self._first) is not None and self._first != ""
-        if "," in text and self._separator != "," and not stamps:
-            commas = [cell for cell in cells if "," in cell]
-            self._comma = self._comma or commas[0]
-            self._thousands = self._thousands and all(map(THOUSANDS.fullmatch, commas))
-            plain = [cell.replace(",", ".") for cell in cells]
-        self._point = self._point or "." in text
+def _column(
+    name: str, unit: str, at: int, cells: Sequence[str], lines: Sequence[int], separator: str
+) -> Column:
+    """The column ``at`` this place from 1, whose ``cells`` stand in ``lines``: numbers, or stamps."""
+    first = next((cell for cell in map(str.strip, cells) if cell.lower() not in MISSING), "")
+    stamp = STAMP.fullmatch(first) if first else None
+    commas = [cell for cell in cells if "," in cell] if separator != "," and stamp is None else []
+    flaw = "" if first else "nothing"
+    if commas and any("." in cell for cell in cells):
+        flaw = f"'{commas[0][:LONGEST]}', with a comma where others have a decimal point"
+    elif commas and all(map(THOUSANDS.fullmatch, commas)):
+        flaw = "commas, which may separate decimals or thousands"
+    values = np.full(len(cells), np.nan)
+    for row, cell in enumerate(() if flaw else map(str.strip, cells)):
+        if cell.lower() in MISSING:
+            continue
         try:
-            if stamps or "_" in text:
-                raise ValueError
-            values = np.fromiter(map(float, plain), np.float64, len(cells))
+            values[row] = (
+                (_nanoseconds(cell) - _nanoseconds(first)) * 1e-9 if stamp else _number(cell, separator)
+            )
         except ValueError:
-            filled = np.array([cell.strip().lower() not in MISSING for cell in cells])
-            values = np.zeros(len(cells), dtype=np.int64) if stamps else values
-            for row in [] if self._flaw else np.flatnonzero(filled).tolist():
-                cell = cells[row].strip()
-                try:
-                    values[row] = _nanoseconds(cell) if stamps else _number(cell, self._separator)
-                except ValueError:
-                    self._flaw = f"'{cell[:LONGEST]}' in line {lines[row]}, which is no number"
-                    break
-        self._pieces.append(values)
-        self._filled.append(filled)
-
-    def result(self, name: str, unit: str, at: int) -> Column:
-        """The column ``at`` this place from 1; dates and times of day are in ns there."""
-        values, filled = np.concatenate(self._pieces), np.concatenate(self._filled)
-        found = STAMP.fullmatch(self._first) if self._first else None
-        flaw = self._flaw
-        if not flaw and found is not None:
-            kind = "date" if not found[8] else "stamp" if found[1] or found[7] else "clock"
-            return Column(name, values, filled, unit=kind, since=self._first)
-        if self._comma and self._point:
-            flaw = f"'{self._comma[:LONGEST]}', with a comma where others have a decimal point"
-        elif self._comma and self._thousands:
-            flaw = "commas, which may separate decimals or thousands"
-        elif not self._first:
-            flaw = "nothing"
-        return Column(name, values, filled, f"column {name or at} holds {flaw}" if flaw else "", unit)
+            flaw = f"'{cell[:LONGEST]}' in line {lines[row]}, which is no number"
+            break
+    if stamp and not flaw:
+        kind = "date" if not stamp[8] else "stamp" if stamp[1] or stamp[7] else "clock"
+        return Column(name, values, unit=kind, since=first)
+    return Column(name, values, f"column {name or at} holds {flaw}" if flaw else "", unit)
 
 
 @functools.lru_cache
 def _day(year: str, month: str, day: str) -> int:
-    return (datetime.date(int(year), int(month), int(day)) - datetime.date(1970, 1, 1)).days * DAY
+    return (datetime.date(int(year), int(month), int(day)) - datetime.date(1970, 1, 1)).days * DAY * 10**9
 
 
+@functools.lru_cache
 def _nanoseconds(cell: str) -> int:
     """Time [ns] of a date since 1970, of a time of day since midnight. Raises ValueError."""
     found = STAMP.fullmatch(cell)
@@ -336,18 +316,17 @@ def _with_dates(columns: Sequence[Column]) -> list[Column]:
     """``columns`` with stamps as seconds from the first; a date beside a time of day belongs to it."""
     found = list(columns)
     for i, column in enumerate(columns):
-        if not column.since or not column.filled.any():
+        seconds, since, flaw = column.values, column.since, ""
+        dates = [one for one in (*columns[max(i - 1, 0) : i], *columns[i + 1 : i + 2]) if one.unit == "date"]
+        if not since:
             continue
-        ns, since, flaw = column.values, column.since, ""
-        beside = [one for one in (*columns[max(i - 1, 0) : i], *columns[i + 1 : i + 2]) if one.unit == "date"]
         if column.unit == "date":
             flaw = f"column {column.name or i + 1} holds dates without times"
-        elif column.unit == "clock" and beside and beside[0].since:
-            ns, since = ns + beside[0].values, f"{beside[0].since} {since}"
+        elif column.unit == "clock" and dates and dates[0].since:
+            seconds, since = seconds + dates[0].values, f"{dates[0].since} {since}"
         elif column.unit == "clock":  # midnight begins the next day
-            ns = ns + DAY * np.cumsum(np.diff(ns, prepend=ns[:1]) < -DAY // 2)
-        seconds = (ns - ns[np.argmax(column.filled)]) * 1e-9
-        found[i] = Column(column.name, seconds, column.filled, flaw, since=since)
+            seconds = seconds + DAY * np.cumsum(np.diff(seconds, prepend=seconds[:1]) < -0.5 * DAY)
+        found[i] = Column(column.name, seconds, flaw, since=since)
     return found
 
 
@@ -363,28 +342,22 @@ def _matlab(path: Path, notes: list[str]) -> list[Column]:
     from scipy.io.matlab import MatlabOpaque
 
     content: dict[str, Any] = {}
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            try:
-                content = loadmat(path)
-                needs = f"{path} has objects of MATLAB, such as timeseries"
-                whole = not any(isinstance(value, MatlabOpaque) for value in content.values())
-            except NotImplementedError:
-                needs, whole = f"{path} is a MATLAB file of version 7.3 (HDF5)", False
-            if not whole and find_spec("matio"):
-                from matio import load_from_mat
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            content = loadmat(path)
+            needs = f"{path} has objects of MATLAB, such as timeseries"
+            whole = not any(isinstance(value, MatlabOpaque) for value in content.values())
+        except NotImplementedError:
+            needs, whole = f"{path} is a MATLAB file of version 7.3 (HDF5)", False
+        if not whole and find_spec("matio"):
+            from matio import load_from_mat
 
-                content, whole = load_from_mat(str(path)), True
-    except Exception as error:  # the libraries raise what they meet
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise BagError(f"{path} is not a MATLAB file that can be read: {reason}") from error
+            content, whole = load_from_mat(str(path)), True
     variables = {name: value for name, value in content.items() if not name.startswith("__")}
     found = [column for name, value in variables.items() for column in _vectors(name, value)]
     if not whole:
-        text = (
-            f"{needs}, which needs the extra logs (pip install valve_control[logs], or save vectors with -v7)"
-        )
+        text = f"{needs}, which needs the extra logs ({EXTRA}, or save vectors with -v7)"
         if not found:
             raise BagError(text)
         notes.append(text)
@@ -423,39 +396,35 @@ def _vectors(name: str, value: Any) -> Iterator[Column]:
         for i, content in enumerate(value.ravel(order="F"), start=1):
             yield from _vectors(f"{name}({i})", content)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "biufc" and value.ndim and value.size:
-        upright = value.ndim == 1 or value.shape[0] >= value.shape[1]
-        for i, vector in enumerate([value] if value.ndim == 1 else value.T if upright else value, start=1):
-            index = "" if value.ndim == 1 else f"(:,{i})" if upright else f"({i},:)"
-            flaw = f"column {name}{index} holds complex numbers" if value.dtype.kind == "c" else ""
-            numbers = np.zeros(len(vector)) if flaw else vector.astype(np.float64)
-            yield Column(f"{name}{index}", numbers, np.ones(len(vector), dtype=np.bool_), flaw)
+        upright = value.ndim > 1 and value.shape[0] >= value.shape[1]
+        for i, vector in enumerate(np.atleast_2d(value.T if upright else value), start=1):
+            path = name if value.ndim == 1 else f"{name}(:,{i})" if upright else f"{name}({i},:)"
+            flaw = f"column {path} holds complex numbers" if value.dtype.kind == "c" else ""
+            yield Column(path, vector.real.astype(np.float64), flaw)
 
 
 def _fields(name: str, fields: dict[str, Any]) -> Iterator[Column]:
     """Columns of a structure or an object, with the signal's name and unit that stand beside them."""
     plain = {field.rstrip("_"): content for field, content in fields.items() if content is not None}
     texts = {
-        field.lower(): str(np.asarray(content).item())
-        for field, content in plain.items()
-        if np.asarray(content).dtype.kind in "UT" and np.asarray(content).size == 1
+        field.lower(): str(text.item())
+        for field, text in zip(plain, map(np.asarray, plain.values()), strict=True)
+        if text.dtype.kind in "UT" and text.size == 1
     }
-    label, unit = (
-        next(filter(None, map(texts.get, fields)), "")
-        for fields in (("name", "label", "signalname", "blockname"), ("unit", "units"))
-    )
+    label = next(filter(None, map(texts.get, ("name", "label", "signalname", "blockname"))), "")
+    unit = texts.get("unit", texts.get("units", ""))
     for field, content in plain.items():
         for column in _vectors(f"{name}.{field}", content):
             timed = TIME.fullmatch(column.name.rpartition(".")[2]) is not None
             yield column if timed else column._replace(label=column.label or label, unit=column.unit or unit)
     info = getattr(plain.get("TimeInfo"), "properties", {})
-    if "Data" in plain and not np.size(plain.get("Time", [])) and info:  # evenly spaced
-        start, step, count = (
-            float(np.squeeze(info.get(f"{key}_", info.get(key, np.nan))))
-            for key in ("Start", "Increment", "Length")
-        )
-        if np.isfinite([start, step, count]).all():
-            times = start + step * np.arange(round(count), dtype=np.float64)
-            yield Column(f"{name}.Time", times, np.ones(len(times), dtype=np.bool_))
+    if (
+        "Data" in plain
+        and not np.size(plain.get("Time", []))
+        and {"Start_", "Increment_", "Length"} <= set(info)
+    ):
+        start, step, count = (float(np.squeeze(info[key])) for key in ("Start_", "Increment_", "Length"))
+        yield Column(f"{name}.Time", start + step * np.arange(count, dtype=np.float64))  # evenly spaced
 
 
 # MDF
@@ -464,28 +433,18 @@ def _fields(name: str, fields: dict[str, Any]) -> Iterator[Column]:
 def _mdf(path: Path, notes: list[str]) -> list[Column]:
     """Channels of an ASAM MDF file, each group of them behind its times."""
     if not find_spec("asammdf"):
-        raise BagError(f"{path} is an MDF file, which needs the extra logs (pip install valve_control[logs])")
+        raise BagError(f"{path} is an MDF file, which needs the extra logs ({EXTRA})")
     from asammdf import MDF
 
     found: list[Column] = []
-    try:
-        with MDF(path) as file:
-            times = np.empty(0)
-            for signal in file.iter_channels():
-                if (
-                    signal.samples.ndim != 1
-                    or signal.samples.dtype.kind not in "biuf"
-                    or not len(signal.samples)
-                ):
-                    continue
-                filled = np.ones(len(signal.samples), dtype=np.bool_)
+    with MDF(path) as file:
+        times = np.empty(0)
+        for signal in file.iter_channels():
+            if signal.samples.ndim == 1 and signal.samples.dtype.kind in "biuf" and len(signal.samples):
                 if not np.array_equal(times, signal.timestamps):
                     times = signal.timestamps.astype(np.float64)
-                    found.append(Column("time", times, filled, unit="s"))
-                found.append(Column(signal.name, signal.samples.astype(np.float64), filled, unit=signal.unit))
-    except Exception as error:  # the library raises what it meets
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise BagError(f"{path} is not an MDF file that can be read: {reason}") from error
+                    found.append(Column("time", times, unit="s"))
+                found.append(Column(signal.name, signal.samples.astype(np.float64), unit=signal.unit))
     if not found:
         raise BagError(f"{path} has no channel of numbers")
     return found
@@ -494,6 +453,6 @@ def _mdf(path: Path, notes: list[str]) -> list[Column]:
 Reader = Callable[[Path, list[str]], list[Column]]
 KINDS: dict[str, tuple[str, Reader]] = {
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".lvm"), ("csv", _text)),
-    ".mat": ("mat", _matlab),
-    **dict.fromkeys((".mf4", ".mdf"), ("mdf", _mdf)),
+    ".mat": ("MATLAB", _matlab),
+    **dict.fromkeys((".mf4", ".mdf"), ("MDF", _mdf)),
 }  # kind and reader by suffix

@@ -66,9 +66,6 @@ def _windows(buffer: Bytes, start: int) -> Iterator[tuple[Integers, Integers, in
         yield records[:count][messages], records[:count][~messages], int(at)
 
 
-COMPRESSIONS = ("", "lz4", "zstd")
-
-
 class McapFile:
     """One MCAP file, finished or not.
 

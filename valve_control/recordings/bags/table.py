@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from valve_control.arrays import Floats, Integers
 from valve_control.control.drivers.scaling import Scale, ScaleError, parse
@@ -69,8 +68,8 @@ class TableFile:
             Topic(absolute(name), FLOAT, flaw=column.flaw)
             for name, column in zip(self._topic_names(), self.columns, strict=True)
         ]
-        self.times: list[Integers] = [np.empty(0, dtype=np.int64)] * len(self.columns)  # ns, of their rows
-        self.timed: list[npt.NDArray[np.bool_]] = [np.empty(0, dtype=np.bool_)] * len(self.columns)
+        none = np.empty(0, dtype=np.int64)
+        self.times = [(none, none)] * len(self.columns)  # rows that have a time, and these times [ns]
         self.clock = ""  # what these times are of
 
     def _topic_names(self) -> list[str]:
@@ -147,7 +146,7 @@ class TableFile:
             values, self.clock = np.arange(count, dtype=np.float64), f"{ROW}{scale}"
         else:
             values, self.clock = self._usable(at), self._clock(at, scale)
-        self._use(values, scale, range(len(self.columns)), notes)
+        self._use(values, scale, range(len(self.columns)))
         return rest
 
     def _clock(self, at: int, scale: Scale) -> str:
@@ -159,7 +158,7 @@ class TableFile:
         column = self.columns[at]
         if column.flaw:
             raise BagError(f"{self.path}: {column.flaw}")
-        return np.where(column.filled, column.values, np.nan)
+        return column.values
 
     def _take_own(self, notes: list[str]) -> None:
         """Take the times of the columns that are times by their names. Raises BagError."""
@@ -180,24 +179,33 @@ class TableFile:
             for i in range(len(self.columns))
         ]
         for at in times:
-            column = self.columns[at]
-            unit = named[at]["unit"].lower() if at in named and not column.unit else column.unit.lower()
-            scale, self.clock = Scale(UNITS.get(unit, 1.0)), ""
-            self.clock = self._clock(at, scale)
             own = [i for i, time in enumerate(owner) if time == at]
-            values = self._usable(at)
-            if unit not in ("", *UNITS):
-                raise BagError(f"{self.path}: the unit {unit} of {self.clock} is not known; map the time")
-            if not unit and not column.since and len(values) > 2 and np.all(np.diff(values) == 1.0):
-                counted = ", ".join(f"{value:g}" for value in values[:3])
-                raise BagError(
-                    f"{self.path}: {self.clock} counts {counted} without a unit; give the time of a step: "
-                    f"--map time={column.name}*0.001, or *1 for seconds"
-                )
-            self._use(values, scale, own, notes)
+            try:
+                self._use_column(at, named[at]["unit"].lower() if at in named else "", own)
+            except BagError as error:
+                if len(times) == 1:
+                    raise
+                for i in own:
+                    self._refuse(i, str(error))
         if len(times) > 1:
             self.clock = f"{len(times)} columns {ends[times[0]]}, each for the signals behind it"
         notes.append(f"the time is {self.clock}, in seconds; --map time=COLUMN*FACTOR takes another")
+
+    def _use_column(self, at: int, unit: str, own: Sequence[int]) -> None:
+        """Take the column ``at``, with this unit in its name, as the time of the columns ``own``."""
+        column = self.columns[at]
+        unit = column.unit.lower() or unit
+        scale = Scale(UNITS.get(unit, 1.0))
+        self.clock = self._clock(at, scale)
+        if unit not in ("", *UNITS):
+            raise BagError(f"{self.path}: the unit {unit} of {self.clock} is not known; map the time")
+        if not unit and not column.since and len(column.values) > 2 and np.all(np.diff(column.values) == 1.0):
+            counted = ", ".join(f"{value:g}" for value in column.values[:3])
+            raise BagError(
+                f"{self.path}: {self.clock} counts {counted} without a unit; give the time of a step: "
+                f"--map time={column.name}*0.001, or *1 for seconds"
+            )
+        self._use(column.values, scale, own)
 
     def _shared(self, one: int, other: int) -> int:
         """Length of the path that the names of two columns share, as of two fields of a structure."""
@@ -205,30 +213,31 @@ class TableFile:
         shared = os.path.commonprefix([path.split(".") for path in paths])
         return len(shared)
 
-    def _use(self, values: Floats, scale: Scale, own: Sequence[int], notes: list[str]) -> None:
+    def _use(self, values: Floats, scale: Scale, own: Sequence[int]) -> None:
         """Take ``values`` times ``scale`` [s] as the times of the columns ``own``.
 
         Columns with another number of rows cannot be read from then on. Raises BagError.
         """
         count = len(values)
         for i in own:
-            column = self.columns[i]
-            if not column.flaw and len(column.values) != count:
-                flaw = (
-                    f"column {column.name or i + 1} has {len(column.values)} rows and the time {count}; "
-                    "they must agree"
-                )
-                self.columns[i] = column._replace(flaw=flaw)
-                self.topics[i] = self.topics[i]._replace(flaw=flaw)
-        filled = [self.columns[i].filled for i in own if not self.columns[i].flaw]
-        rows = np.flatnonzero(np.logical_or.reduce(filled)) if filled else np.arange(count)
-        self._check(rows, values[rows], scale, notes)
-        times = np.zeros(count, dtype=np.int64)
-        times[rows] = np.round((values[rows] * scale.factor + scale.offset) * 1e9).astype(np.int64)
+            column, rows = self.columns[i], len(self.columns[i].values)
+            if rows != count:
+                name = column.name or i + 1
+                self._refuse(i, f"column {name} has {rows} rows and the time {count}; they must agree")
+        filled = [~np.isnan(self.columns[i].values) for i in own if not self.columns[i].flaw]
+        timed = np.flatnonzero(np.logical_or.reduce(filled)) if filled else np.arange(count)
+        self._check(timed, values[timed], scale)
+        times = np.round((values[timed] * scale.factor + scale.offset) * 1e9).astype(np.int64)
         for i in own:
-            self.times[i], self.timed[i] = times, np.isfinite(values)
+            self.times[i] = timed, times
 
-    def _check(self, rows: Integers, values: npt.NDArray[np.float64], scale: Scale, notes: list[str]) -> None:
+    def _refuse(self, at: int, flaw: str) -> None:
+        """The column ``at`` cannot be read from now on, for this reason."""
+        if not self.columns[at].flaw:
+            self.columns[at] = self.columns[at]._replace(flaw=flaw)
+            self.topics[at] = self.topics[at]._replace(flaw=flaw)
+
+    def _check(self, rows: Integers, values: Floats, scale: Scale) -> None:
         """Raise BagError unless ``values`` times ``scale`` are times of ``rows`` one after the other."""
         path, clock = self.path, self.clock
         if len(values) < 2:
@@ -252,30 +261,30 @@ class TableFile:
                 f"{path}: the time reaches {times[int(np.argmax(np.abs(times)))]:.3g} s ({clock}); give its "
                 "factor to seconds, as in --map time=stamp_ns*1e-9"
             )
-        gaps = np.flatnonzero(steps > GAP * np.median(steps[steps > 0.0]))
-        if len(gaps):
-            at = int(gaps[0])
-            notes.append(
-                f"the time leaps by more than {GAP:g} usual steps in {len(gaps)} place(s), the first from "
-                f"row {rows[at] + 1} to row {rows[at + 1] + 1}, by {steps[at]:.4g} s: rows are missing there"
-            )
 
     def row_times(self, topic: str) -> tuple[Integers, Integers]:
         """Rows that have a time for the column of this topic, and their times [ns]."""
-        at = next(i for i, known in enumerate(self.topics) if known.name == topic)
-        rows = np.flatnonzero(self.timed[at])
-        return rows, self.times[at][rows]
+        return self.times[next(i for i, known in enumerate(self.topics) if known.name == topic)]
 
     def notes_on(self, topics: Sequence[str]) -> list[str]:
         """Where cells of the columns ``topics`` are empty, and what their units are where they do not say."""
         found = [i for i, topic in enumerate(self.topics) if topic.name in topics]
         used, notes = [self.columns[i] for i in found], []
         for i, column in zip(found, used, strict=True):
-            if empty := np.count_nonzero(self.timed[i] & ~column.filled):
-                name, count = self.topics[i].name.removeprefix("/"), np.count_nonzero(self.timed[i])
-                notes.append(f"{name} is empty in {empty} of {count} rows")
+            rows = self.times[i][0]
+            steps = np.diff(self.times[i][1]) * 1e-9
+            usual = np.median(steps[steps > 0.0]) if steps.any() else np.inf
+            for gap in (gaps := np.flatnonzero(steps > GAP * usual))[:1]:
+                notes.append(
+                    f"the time leaps by more than {GAP:g} usual steps in {len(gaps)} place(s), the first "
+                    f"from row {rows[gap] + 1} to row {rows[gap + 1] + 1}, by {steps[gap]:.4g} s: rows are "
+                    "missing"
+                )
+            if empty := np.count_nonzero(np.isnan(column.values[rows])):
+                name = self.topics[i].name.removeprefix("/")
+                notes.append(f"{name} is empty in {empty} of {len(rows)} rows")
         unknown = [c for c in used if c.unit and c.unit.lower() not in UNITS]
         notes += [f"the unit {c.unit} of {c.bare_name} is not known: it counts as V" for c in unknown]
         if used and not any(c.unit for c in used):
             notes.append("no column has a unit: all count as V")
-        return notes
+        return list(dict.fromkeys(notes))
