@@ -265,7 +265,7 @@ def check_worth(made: Fit) -> None:
         )
 
 
-def _is_clear(made: Fit) -> bool:
+def is_clear(made: Fit) -> bool:
     """Whether the data tell the order of a fit for which nobody asked: no zero cancels a pole of it, too."""
     poles, zeros = np.roots(made.model.denominator), np.roots(made.model.numerator)
     cancelled = np.any(np.abs(zeros - poles[:, None]) < CANCELLED * np.abs(poles[:, None]))
@@ -301,7 +301,7 @@ def choose(measured: Response, order: int | None = None) -> Fit:
         tried = [one for one in tried if one is not best]
         try:
             check_worth(best[1])
-            if order is not None or _is_clear(best[1]):
+            if order is not None or is_clear(best[1]):
                 return best[1]
         except ParameterError as error:
             refusals.append(error)
