@@ -13,16 +13,13 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control.nodes.adapter import (
     SAMPLES,
-    UNNUMBERED,
     NumberSubscription,
     PointSubscription,
     decoded_point,
     encoded,
     encoded_point,
     head,
-    number_of,
 )
-from valve_control.nodes.recorder import Recorded
 
 NUMBERS = [0.0, -0.0, 1.0, -9.87654321, 5e-324, 1.7e308, math.inf, -math.inf]
 
@@ -67,11 +64,3 @@ def test_what_is_no_point_is_passed_over(ros):
     found = []
     spin_until(ros, lambda: found.extend(points.take()) or found, "the point")
     assert [point.positions for point, _ in found] == [(0.5,)]
-
-
-def test_a_middleware_that_numbers_no_messages_loses_an_unknown_number():
-    """Such as Cyclone DDS."""
-    assert number_of({"publication_sequence_number": UNNUMBERED}) == 0
-    topic = Recorded(None, "/a", "std_msgs/msg/Float64", None)
-    topic.count(0)
-    assert not topic.numbered and topic.lost == 0

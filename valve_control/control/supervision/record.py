@@ -203,18 +203,14 @@ def stop_reporting(m: Memory) -> None:
 
 
 @node_only
-def forget_reported(m: Memory) -> None:
-    """Drop what the watches that only report have learnt of the valve."""
+def forget_reported(m: Memory, entirely: bool = False) -> None:
+    """Drop what the watches that only report have learnt of the valve.
+
+    ``entirely``: all that they have, since there is no plausibility check any more, on which they depend.
+    """
     for watch in REPORTING:
         before = getattr(m, watch.slot)
-        after = watch.forgotten(before)
+        after = watch.module.NOTHING if entirely else watch.forgotten(before)
         if after is not before:
             setattr(m, watch.slot, after)
             clear(m, watch.condition)
-
-
-def end_reported(m: Memory) -> None:
-    """There is no plausibility check any more, on which these watches depend."""
-    for watch in REPORTING:
-        setattr(m, watch.slot, watch.module.NOTHING)
-        clear(m, watch.condition)

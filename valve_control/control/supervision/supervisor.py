@@ -44,7 +44,6 @@ from valve_control.control.supervision.record import (
     Mode,
     clear,
     count,
-    end_reported,
     forget_reported,
     latch,
     report,
@@ -113,9 +112,7 @@ class Supervisor:
         curve_changed = former is not None and made.line != former.line
         if former is not None and (made.lvdt.comparison != former.lvdt.comparison or curve_changed):
             m.evidence = None
-            forget_reported(m)
-            if made.lvdt.comparison is None:
-                end_reported(m)
+            forget_reported(m, made.lvdt.comparison is None)
         if former is not None and made.lvdt.period != former.lvdt.period:
             m.pace = rate.UNKNOWN._replace(means=m.pace.means)
             clear(m, "lvdt_rate")
