@@ -131,7 +131,7 @@ def test_a_figure_shows_a_detail_of_what_is_fast_and_says_what_it_is_of(
     text = (tmp_path / "x.svg").read_text()
     assert ("<!-- detail -->" in text) == detail
     assert f"<!-- pid (d3fxe.yaml) on the valve fourth_order: {motion[0]} of " in text
-    assert " mV rms (" in text and " % of the stroke) -->" in text
+    assert " mV rms, " in text and " % of stroke -->" in text
 
 
 LAWS = ("dcarc", "pid", "arc")

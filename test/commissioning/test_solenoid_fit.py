@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from supervised import Steps, SupervisedValve, driven, fitted
+from supervised import Steps, SupervisedValve, fitted
 
 from benchmarks import solenoid
 from research import coil
@@ -17,9 +17,8 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant import solenoid as equations
 from valve_control.control.plant.models import TransferFunction
-from valve_control.design.commissioning import evaluation, gains, magnet, model, plant, sequence
+from valve_control.design.commissioning import gains, magnet, model, plant, sequence
 from valve_control.design.commissioning.bench import Fault, Plan, SafetyLimits
 from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.commissioning.magnet import Magnet
@@ -210,20 +209,6 @@ def test_commissioned_dcarc_beats_the_best_pid_on_the_valve(name):
     for previewed in (False, True):
         reached = solenoid.on_the_valve(valve.params, valve.values(), 0.0, previewed)
         assert reached["e_rms"] < best and reached["c_u"] < 0.25
-
-
-@pytest.mark.campaign
-@pytest.mark.parametrize("name", coil.VALVES)
-def test_a_spool_that_stands_off_the_centre_costs_no_model(name):
-    """Where the law from before has left it, held by friction: it missed 11 times what is allowed."""
-    bench = SupervisedValve(coil.plant(coil.VALVES[name]), {"lvdt.max_rate": 5000.0})
-    bench.state = equations.standing(bench.params, 0.2, 0.0)
-    rest, slow, static, planned, sine = driven(bench, LIMITS)
-    assert rest.position > 0.15
-    seen, fits, friction = evaluation.linear(sine, planned, static, rest)
-    found = plant.fitted([slow, sine], fits, friction, static.offset, rest, threads=2)
-    assert found.error < plant.EXPLAINED and found.magnet is not None
-    assert found.friction.coulomb == pytest.approx(coil.VALVES[name].coulomb, rel=0.15)
 
 
 @pytest.mark.parametrize("name", ["A", "C"])

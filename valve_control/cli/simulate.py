@@ -223,7 +223,7 @@ def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], settings: Mapp
     files = ", ".join(Path(file).name for file in arguments.params_file) or "default parameters"
     source, frequency = settings["command_source"], build.highest_frequency(settings["command_source"])
     motion = f"{source['scenario']} of {source['amplitude']:g} V"
-    motion += f" up to {frequency:g} Hz" if frequency else ""
+    motion += f", {frequency:g} Hz" if frequency else ""
     if source["scenario"] == "array":
         motion = Path(str(source["command_file"])).name
     title = f"{law} ({files}) on the valve {settings['valve_simulator']['valve']}: {motion}"

@@ -87,7 +87,7 @@ def _trace_plots(traces: Mapping[str, Trace], shown: slice) -> list[Plot]:
         colour, time, error = COLOURS[i % len(COLOURS)], trace.time[shown], trace.position - trace.command
         rms = float(np.sqrt(np.nanmean(np.square(error))))
         label += f": {1e3 * rms:.3g} mV rms"
-        label += f" ({100.0 * rms / stroke:.2g} % of the stroke)" if stroke > 0.0 else ""
+        label += f", {100.0 * rms / stroke:.2g} % of stroke" if stroke > 0.0 else ""
         top.append(Line(label, time, trace.position[shown], colour))
         middle.append(Line(label, time, 1e3 * error[shown], colour))
         bottom.append(Line(label, time, trace.voltage[shown], colour))
@@ -130,7 +130,7 @@ def draw_columns(
             labels = {line.label for line in plot.lines}
             if len(plot.lines) > 1 and not labels <= told:
                 above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
-                axis.legend(fontsize="small", ncols=2 if len(labels) < 7 else 4, borderaxespad=0.1, **above)
+                axis.legend(fontsize="small", ncols=2, borderaxespad=0.1, **above)
                 told |= labels
         column[0].set_title(name, loc="left")
         column[-1].set_xlabel(x_title)

@@ -241,13 +241,25 @@ class _Form(NamedTuple):
         lower[-3], lower[-1], upper[-1] = 0.0, 0.0, max(LATEST, LATEST_TIME / self.period)
         return lower, upper
 
-    def inside(self, x: Floats) -> Floats:
-        """``x`` with poles, friction and dead time within their bounds, and not upon them."""
-        begin = x.copy()
+    def begin(self, fit: Fit, friction: Friction, offset: float) -> Floats:
+        """Unknowns of a search that begins at ``fit``, within their bounds and not upon them."""
+        fitted_roots = np.roots(fit.model.denominator)
+        factor = np.minimum(1.0, FIRST_POLE * _fastest(self.period) / np.abs(fitted_roots))
+        roots = sorted(factor * fitted_roots, key=lambda root: (abs(root), root.imag))
+        real = [root for root in roots if root.imag == 0.0]
+        single = [real.pop()] if fit.order % 2 else []  # the fastest real pole stands alone
+        pairs = [*zip(real[::2], real[1::2], strict=True)]
+        pairs += [(root.conjugate(), root) for root in roots if root.imag > 0.0]
+        polynomials = [np.poly(pair).real for pair in sorted(pairs, key=lambda pair: abs(pair[0]))]
+        factors = [1.0 + math.log(c) for _, *lower in polynomials for c in lower]
+        factors += [1.0 + math.log(-root.real) for root in single]
+        scale = (abs(fit.model.denominator[-1]) * float(np.prod(factor))) ** (1.0 / fit.order)
+        static = fit.model.denominator[-1]
+        ascending = [c * scale**i / static for i, c in enumerate(reversed(fit.model.numerator))]
         least, most = self.coefficients()
-        begin[: self.order] = np.clip(begin[: self.order], least + AWAY, most - AWAY)
-        begin[-3], begin[-1] = max(begin[-3], 1e-6), min(max(begin[-1], 1e-3), self.bounds()[1][-1] - 1e-3)
-        return begin
+        poles = np.clip(factors, least + AWAY, most - AWAY)
+        delay = min(max(fit.delay / self.period, 1e-3), self.bounds()[1][-1] - 1e-3)
+        return np.array([*poles, *ascending, max(friction.coulomb, 1e-6), offset, delay])
 
 
 class _Tests(NamedTuple):
@@ -287,7 +299,7 @@ def _near(tests: _Tests, fit: Fit, friction: Friction, offset: float) -> Plant:
         return tests.errors(form.plant(x))
 
     done = scipy.optimize.least_squares(
-        residual, form.inside(_parameters(fit, friction, offset, tests.period)), bounds=form.bounds(),
+        residual, form.begin(fit, friction, offset), bounds=form.bounds(),
         diff_step=STEP, x_scale="jac", loss="soft_l1", max_nfev=EVALUATIONS,
     )  # fmt: skip
     return tests.judged(form.plant(done.x))
@@ -336,24 +348,3 @@ def _with_solenoids(
 def _fastest(period: float) -> float:
     """Bound of the poles [rad/s]."""
     return min(FASTEST_POLE / period, FASTEST_SPEED)
-
-
-def _parameters(fit: Fit, friction: Friction, offset: float, period: float) -> Floats:
-    """Unknowns of a search that begins at ``fit``."""
-    fitted_roots = np.roots(fit.model.denominator)
-    factor = np.minimum(1.0, FIRST_POLE * _fastest(period) / np.abs(fitted_roots))
-    roots = sorted(factor * fitted_roots, key=lambda root: (abs(root), root.imag))
-    real = [root for root in roots if root.imag == 0.0]
-    single = real.pop().real if fit.order % 2 else None  # the fastest real pole stands alone
-    pairs = [*zip(real[::2], real[1::2], strict=True)]
-    pairs += [(root.conjugate(), root) for root in roots if root.imag > 0.0]
-    factors = []
-    for pair in sorted(pairs, key=lambda pair: abs(pair[0])):
-        _, first, second = np.poly(pair).real
-        factors += [1.0 + math.log(first), 1.0 + math.log(second)]
-    if single is not None:
-        factors.append(1.0 + math.log(-single))
-    scale = (abs(fit.model.denominator[-1]) * float(np.prod(factor))) ** (1.0 / fit.order)
-    static = fit.model.denominator[-1]
-    ascending = [c * scale**i / static for i, c in enumerate(reversed(fit.model.numerator))]
-    return np.array([*factors, *ascending, friction.coulomb, offset, fit.delay / period])

@@ -176,7 +176,12 @@ def learnt(tested: Experiment, known: Values, fixed: Sequence[str]) -> RecordedV
             f"{tested.source} has no excitation: the readings move by {moved:.2g} V (standard deviation) and "
             f"have {noise:.2g} V of noise; record the loop while its command moves"
         )
-    base = _of_recording(known, tested)
+    # With sample period and limits of the recording, and without steps of the converters.
+    changes = {"sample_period": tested.period, "u_max": max(0.1, tested.u_max)}
+    changes |= {"lvdt.resolution": 0.0, "solenoid.bits": 0}
+    if number(known, "solenoid.u_min") == -number(known, "u_max"):
+        changes["solenoid.u_min"] = -changes["u_max"]
+    base = updated(NODES["valve_simulator"], known, changes)
     begin = {form.name: 1.0 if form.name in FACTORS else number(base, form.name) for form in FORMS}
     begin["lvdt.delay"] += number(base, BEFORE_COIL) if _has_coil(base) else 0.0
     free = [form for form in FORMS if form.name not in fixed]
@@ -227,18 +232,6 @@ def _with(base: Values, quantities: Mapping[str, float]) -> Values:
         others.update({"lvdt.delay": own.sensor, BEFORE_COIL: own.actuator})
     scaled = registry.chosen(base).scaled(base, gain, speed)
     return updated(NODES["valve_simulator"], base, {**others, **scaled})
-
-
-def _of_recording(known: Values, tested: Experiment) -> Values:
-    """The ``known`` valve with sample period and limits of the recording, and a reading without steps.
-
-    A lower limit of the amplifier that mirrors the upper one goes with it. Raises ParameterError.
-    """
-    changes = {"sample_period": tested.period, "u_max": max(0.1, tested.u_max)}
-    changes |= {"lvdt.resolution": 0.0, "solenoid.bits": 0}
-    if number(known, "solenoid.u_min") == -number(known, "u_max"):
-        changes["solenoid.u_min"] = -changes["u_max"]
-    return updated(NODES["valve_simulator"], known, changes)
 
 
 def _search(

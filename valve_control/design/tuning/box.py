@@ -51,15 +51,12 @@ def problems(
 
     ``asked``: the other fields of the Problem. Raises ParameterError.
     """
-    both = []
-    for count, own in ((valves, seed), (unseen, seed + UNSEEN_SEED)):
+
+    def problem(count: int, own: int) -> Problem:
         study = study_of(settings, box, count, own)
-        both.append(
-            Problem(
-                values=settings["controller"], plants=drawn(study), box=bounding(study), seed=own, **asked
-            )
-        )
-    return both[0], both[1]
+        return Problem(settings["controller"], plants=drawn(study), box=bounding(study), seed=own, **asked)
+
+    return problem(valves, seed), problem(unseen, seed + UNSEEN_SEED)
 
 
 def study_of(settings: Settings, box: Sequence[Quantity], valves: int, seed: int) -> Study:

@@ -58,13 +58,11 @@ class Tuned(NamedTuple):
 def variants(law: Law, values: Values) -> list[Mapping[str, Value]]:
     """Settings with each of which ``law`` is tuned: those that agree with what ``values`` choose."""
     usual = defaults(CONTROLLER)
-    fitting = [
-        variant
-        for variant in law.variants
-        if all(
-            values[name] in (usual[name], value) for name, value in variant.items() if isinstance(value, str)
-        )
-    ]
+
+    def contradicts(name: str, value: Value) -> bool:
+        return isinstance(value, str) and values[name] not in (usual[name], value)
+
+    fitting = [one for one in law.variants if not any(contradicts(*setting) for setting in one.items())]
     return fitting or [{}]
 
 
