@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes files whole or not at all, and checks the paths of outputs before the work begins."""
 
-import contextlib
 import errno
 import io
 import json
@@ -72,10 +71,8 @@ def write(path: str, content: str | bytes) -> None:
                 stream.flush()
                 os.chmod(stream.name, 0o644)
                 os.replace(stream.name, target)
-            except BaseException:  # Ctrl-C too
-                with contextlib.suppress(FileNotFoundError):  # it is in its place already
-                    os.unlink(stream.name)
-                raise
+            finally:  # at Ctrl-C too; without an error it is in its place already
+                Path(stream.name).unlink(missing_ok=True)
     except OSError as error:
         error.filename = path
         raise

@@ -62,7 +62,6 @@ class AxisController(Managed):
         self._values: Values = {}
         self._params: axis_supervisor.Params
         self._state: axis_supervisor.State
-        self._joints: PolledSubscription | None = None
         self._waiting: tuple[JointState, int] | None = None  # lockstep: a reading without its listeners
         self._watch_at = self._look_at = NEVER
         self._heard = 0.0  # s  when the last reading came
@@ -78,19 +77,14 @@ class AxisController(Managed):
         self._paired = False  # lockstep: whether both pressures are those of the reading
         self._said: tuple[Mode, str] | None = None
         self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
-        ParameterSet(self, AXIS_CONTROLLER, self._build, self._apply)
+        fixed = ("sample_period", "stop.controller", "upper_level")
+        ParameterSet(self, AXIS_CONTROLLER, axis_supervisor.design, self._apply, fixed=fixed)
         self._life = self.create_client(ChangeState, f"{word(self._values, 'stop.controller')}/change_state")
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self._values["autostart"]:
             self.autostart()
-
-    def _build(self, values: Values) -> tuple[axis_supervisor.Params, path.Range]:
-        for name in ("sample_period", "stop.controller", "upper_level"):
-            if self._values and values[name] != self._values[name]:
-                raise ParameterError(f"{name} of a running node does not change; start it again")
-        return axis_supervisor.design(values)
 
     def _apply(self, values: Values, built: tuple[axis_supervisor.Params, path.Range]) -> None:
         first = not self._values
@@ -120,18 +114,8 @@ class AxisController(Managed):
         room_a = PolledSubscription(self, FluidPressure, "pressure_a", qos)
         self._rooms = {"a": room_a, "b": PolledSubscription(self, FluidPressure, "pressure_b", qos)}
 
-    def close(self) -> None:
-        """Destroy publishers and subscriptions."""
-        assert self._joints is not None
-        for topic in (self._joints, self._wanted, self._trajectories, *self._rooms.values()):
-            topic.destroy()
-        self._joints = None
-        for publisher in (self._commands, self._points, self._goals):
-            self.destroy_publisher(publisher)
-
     def begin(self) -> None:
         """Hold the position of the first reading; what waits is stale and dropped, but not in lockstep."""
-        assert self._joints is not None
         if not self._lockstep:
             for topic in (self._joints, self._wanted, self._trajectories, *self._rooms.values()):
                 for _ in topic.take():
@@ -158,7 +142,7 @@ class AxisController(Managed):
 
     def inputs(self) -> Sequence[PolledSubscription]:
         """Subscriptions of the position and of what is wanted."""
-        if not self.working or self._joints is None:
+        if not self.working:
             return ()
         known = self._state.goal is not None or self._state.stopped
         return (self._joints, self._trajectories, self._wanted) if known else (self._joints,)
@@ -169,7 +153,7 @@ class AxisController(Managed):
 
     def work(self) -> bool:
         """Take what is wanted, answer the readings that have come, and look after silence."""
-        if not self.working or self._joints is None:
+        if not self.working:
             return False
         stalled = stood_still(self._watch_at, time.monotonic())  # now: to plan a motion is no standstill
         worked = self._take_goals()
@@ -391,7 +375,7 @@ class AxisController(Managed):
         mode, text = axis_supervisor.mode(self._state)
         level = LEVELS[mode]
         if not self.working:
-            level, text = DiagnosticStatus.OK, "inactive" if self._joints is not None else "unconfigured"
+            level, text = DiagnosticStatus.OK, "inactive" if self.configured else "unconfigured"
         s = self._state
         values = {
             "mode": mode.name.lower(),
@@ -406,7 +390,7 @@ class AxisController(Managed):
 
     def deliver(self) -> None:
         """Wait until the last command is acknowledged."""
-        if self._joints is not None:
+        if self.configured:
             for publisher in (self._commands, self._points):
                 publisher.wait_for_all_acked(Duration(seconds=LAST_WORD))
 

@@ -51,11 +51,9 @@ class AxisSimulator(Worker):
         room_a = self.create_publisher(FluidPressure, "pressure_a", SAMPLES)
         self._rooms = room_a, self.create_publisher(FluidPressure, "pressure_b", SAMPLES)
         self._joint, self._pressure = JointState(), FluidPressure()
-        ParameterSet(self, AXIS, self._build, self._apply, alone=False)
+        ParameterSet(self, AXIS, self._build, self._apply, alone=False, fixed=("sample_period",))
 
     def _build(self, values: Values) -> tuple[axis.Params, machine.Sensors]:
-        if self._values and values["sample_period"] != self._values["sample_period"]:
-            raise ParameterError("the sample_period of a running axis does not change; start it again")
         built = parameters.axis_params(values)
         parameters.velocity_gains(built, values)
         return built, parameters.sensors(values)

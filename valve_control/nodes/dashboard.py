@@ -39,7 +39,7 @@ from valve_control.nodes.adapter import (
     plain,
 )
 from valve_control.nodes.loop import Failure, Worker, run
-from valve_control.parameter import Parameter, ParameterError, Value, Values, number, word
+from valve_control.parameter import Parameter, Value, Values, number, word
 
 POLL = 0.015  # s between two looks at what has come
 LOOK = 0.25  # s between two looks at the graph
@@ -303,7 +303,6 @@ class Dashboard(Worker):
 
     def __init__(self) -> None:
         super().__init__("dashboard")
-        self._values: Values = {}
         self.pending: list[Pending] = []
         self.machine = Machine(self)
         self._wishes: deque[Callable[[], None]] = deque()
@@ -311,18 +310,12 @@ class Dashboard(Worker):
         self._remotes: dict[str, Remote] = {}
         self._lives: dict[str, set[bytes]] = {}
         self._server: Any = None
-        ParameterSet(self, DASHBOARD, self._fixed, self._apply)
+        fixed = {parameter.name for parameter in DASHBOARD}
+        self._values = ParameterSet(self, DASHBOARD, lambda values: None, fixed=fixed).values
         self._events = PolledSubscription(self, ParameterEvent, EVENTS, EVERYTHING, raw=True)
         self._diagnostics = PolledSubscription(self, DiagnosticArray, "/diagnostics", EVERYTHING, raw=True)
         self._next = self._look_at = time.monotonic()
         self._serve()
-
-    def _fixed(self, values: Values) -> None:
-        if self._values and values != self._values:
-            raise ParameterError("the parameters of a running dashboard do not change; start it again")
-
-    def _apply(self, values: Values, built: None) -> None:
-        self._values = values
 
     def _serve(self) -> None:
         try:

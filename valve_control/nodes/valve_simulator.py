@@ -262,7 +262,7 @@ class ValveSimulator(Managed):
             self._state = self._state._replace(x=before.x._replace(x1=0.0))
 
     def _send(self) -> None:
-        reading = self._plant.module.read(self._params, self._state, float(self._random.standard_normal()))
+        reading = self._plant.module.read(self._params, self._state, self._noise())
         fault = self._fault[0]
         if fault == "lost":
             self._positions.publish(CORRUPT)
@@ -287,6 +287,10 @@ class ValveSimulator(Managed):
             self._fault_left -= 1
             if self._fault_left == 0:
                 self.set_parameters([Parameter(f"fault.{part}", value="none") for part in ("lvdt", "valve")])
+
+    def _noise(self) -> float:
+        """Standard normal number for the noise of this sample's reading."""
+        return float(self._random.standard_normal())
 
     def _take_voltage(self) -> None:
         """Take the voltage of the last sample; wait for it if the controller answered until now."""
