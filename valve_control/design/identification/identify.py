@@ -92,8 +92,8 @@ def _fits(order: int | None, measured: Response) -> tuple[Fit, ...]:
     """The second order for the estimates, then the model that stands for the valve if it is another.
 
     The response chooses a dead time, and the form where no ``order`` is asked for. A second order that misses
-    it then has a dead time too. Where the second order has no bounds, an order that is asked for has them only
-    if the response would choose it.
+    it then has a dead time too. Where the test does not tell the bounds of the second order, it tells those
+    of an order that is asked for only if the response would choose it.
     """
     refusals: list[ParameterError] = []
     for delayed in (False, True):
