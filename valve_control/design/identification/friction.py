@@ -22,14 +22,7 @@ from valve_control.design.identification.experiment import BRIDGED, Experiment, 
 from valve_control.design.identification.response import Response, Segment, phasor
 from valve_control.parameter import ParameterError
 
-TEST: dict[str, object] = {
-    "scenario": "triangle",
-    "amplitude": 4.0,
-    "offset": 0.0,
-    "frequency": 0.2,
-    "cycles": 9,
-    "start": 0.25,
-}
+TEST: dict[str, object] = {"scenario": "triangle", "amplitude": 4.0, "frequency": 0.2, "cycles": 9}
 SHARE = 0.6  # of u_max, amplitude of a stepped sine beside it: above most friction
 WHOLE = 0.9  # of the largest travel of the voltage, that a stroke has to have
 EQUAL = 0.02  # by which strokes may differ in length
