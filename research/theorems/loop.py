@@ -9,7 +9,7 @@ those of docs/explanation/laws/dcarc.md; they are drawn larger and smaller, to s
 what of the valve breaks it.
 
 Matrices and responses are derived from the law's numbers here, apart from ``control.linear``, which
-differentiates the law's step: test/theorems/test_loop.py compares both.
+differentiates the law's step: test/theorems/test_experiments.py compares both.
 """
 
 import math

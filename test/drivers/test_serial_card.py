@@ -51,14 +51,6 @@ def names(driver):
 # Frames
 
 
-def test_the_crc_is_the_one_of_the_catalogue():
-    """CRC-16/CCITT-FALSE of "123456789" is 29B1."""
-    from binascii import crc_hqx
-
-    assert crc_hqx(b"123456789", 0xFFFF) == 0x29B1
-    assert packed(TO_CARD, ON, 0x1234, -2)[:6] == bytes([0x5A, 1, 0x34, 0x12, 0xFE, 0xFF])
-
-
 frames = st.builds(
     Frame, st.integers(0, 7), st.integers(0, 65535), st.integers(-COUNTS, COUNTS)
 )  # flags, counter, value

@@ -155,14 +155,10 @@ class Valve:
     def order(self, word, value):
         if word == "emergency":
             self.node.emcy.send(int(value, 16), 0x01)
-        elif word == "fault":
-            self.fail(int(value, 16))
         elif word == "quiet_fault":
             self.state = 0b0001
         elif word == "local":
             self.local = 0x10 * int(value)  # 1: its own control word (0x604F) counts
-        elif word == "reference":
-            self.store(0x6311, 1, "<h", int(value))
         elif word == "drop":
             self.drop = int(value)
         elif word == "mute":
@@ -172,8 +168,6 @@ class Valve:
         elif word == "enable":
             self.enabled = value == "1"
             self.step(self.control)
-        elif word == "stop":
-            self.node.nmt.state = "STOPPED"
         elif word == "reset":
             self.node.data_store.clear()
             self.spool = Spool(self.period)

@@ -13,6 +13,7 @@ from changed import controller
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from valve_control.control.analysis.indices import rms
 from valve_control.control.laws import dcarc, dcarc_design, least_squares, reshaping
 from valve_control.control.laws.least_squares import Weights
 from valve_control.control.laws.signals import Start
@@ -95,10 +96,6 @@ def sine(amplitude, frequency, samples, period=PERIOD):
     wn, damping = p.natural_frequency, p.damping
     command = wanted[:-2] + 2.0 * damping / wn * rate[:-1] + accel / (wn * wn)
     return wanted[:samples], command[:samples]
-
-
-def rms(x):
-    return float(np.sqrt(np.mean(np.square(x))))
 
 
 @pytest.mark.parametrize("model", MODELS + COILS, ids=ORDERS + COIL_NAMES)

@@ -1,18 +1,88 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Terms of the magnet in dcarc: lag of the coil, hysteresis and unequal gains, on a valve made here."""
+"""Solenoid valves: terms of the magnet in dcarc, its hum, and the warning of laws that know no coil."""
 
 import math
+import re
 
 import numpy as np
 import pytest
 import scipy.signal
 from changed import controller
 
+from research import coil
 from valve_control.control.laws import dcarc, dcarc_design
+from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import stability
+from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.plant import models, valve
+from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.simulation import delivery
+from valve_control.parameter import updated
+
+
+def known(name, law, **changes):
+    values = coil.controller(coil.VALVES[name], coil.TERMS)
+    return updated(CONTROLLER, values, {"controller": law, **changes})
+
+
+@pytest.mark.parametrize(("name", "law"), [("A", "arc"), ("B", "arc"), ("B", "oarc"), ("B", "pid")])
+def test_the_warning_has_the_pole_of_the_loop_with_the_coil(name, law):
+    """Against the loop around a valve of that transfer function, which is sampled on another way."""
+    values = known(name, law)
+    params = LAWS[law].build(values)
+    said = stability.coil_warning(LAWS[law], params, values)
+    model = TransferFunction(tuple(values["dcarc.numerator"]), tuple(values["dcarc.denominator"]))
+    plant = valve.design(model, params.period, params.u_max, 1.25, valve.FREE, IDEAL)
+    pole = stability.dominant_pole(LAWS[law], params, plant)
+    found = re.search(r"model of dcarc.*pole of the sampled loop: ([\d.]+), at ([\d.]+) Hz", said)
+    radius, frequency = map(float, found.groups())
+    assert radius == pytest.approx(abs(pole), abs=6e-4)
+    rate = abs(np.angle(pole)) / params.period
+    assert frequency == pytest.approx(rate / (2.0 * math.pi), rel=0.01)
+    assert stability.warning(LAWS[law], params) == ""  # on its own model all is well
+
+
+PERIOD = 0.001
+NOTCH = [(name, hum) for name in coil.VALVES for hum in (50.0, 60.0)]
+
+
+@pytest.mark.parametrize(("name", "hum"), NOTCH)
+def test_what_is_known_of_the_hum_decays_at_the_width(name, hum):
+    """The pole of the whole observer at the hum, against the walk that the derivation gives for its width."""
+    values, turn = known(name, "dcarc"), 2.0 * math.pi * hum * PERIOD
+    model = models.chosen(values, "dcarc.model", "dcarc.")
+    noises = (math.hypot(0.004, 0.0049 / math.sqrt(12.0)), 0.5, 4.0 * math.sqrt(PERIOD))
+    plain = dcarc_design.observed(model, PERIOD, 0.0, *noises, coil.VALVES[name].coil)
+    scale = np.append(dcarc_design.scale_of(model), 1.0)
+    o = dcarc_design.humming(plain, dcarc_design.kalman(plain, scale), turn, PERIOD)
+    gain = dcarc_design.kalman(o, np.append(scale, [1.0, 1.0]))
+    poles = np.linalg.eigvals(o.a @ (np.eye(len(gain)) - np.outer(gain, o.c)))
+    pole = poles[np.argmin(np.abs(poles - np.exp(1j * turn)))]
+    assert -math.log(abs(pole)) / PERIOD == pytest.approx(2.0 * math.pi * dcarc_design.HUM_WIDTH, rel=0.02)
+    assert np.angle(pole) == pytest.approx(turn, rel=0.002)
+
+
+@pytest.mark.parametrize(("name", "hum"), NOTCH)
+def test_a_hum_alone_leaves_the_voltage(name, hum):
+    """By and by: the law without a valve has poles of its own that are slower than those of the loop."""
+
+    def swing(notch):
+        p = dcarc.build(known(name, "dcarc", **{"dcarc.hum": notch}))
+        state, voltages = dcarc.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0)), []
+        for k in range(8000):
+            voltage, state, _ = dcarc.step(
+                p, state, 0.0, 0.02 * math.sin(2.0 * math.pi * hum * PERIOD * k), 0.0
+            )
+            voltages.append(voltage)
+        last = np.array(voltages[-500:])
+        return float(np.std(last))
+
+    with_it, without = swing(hum), swing(0.0)
+    assert without > 0.05 and with_it < 1e-3 * without
+
 
 PERIOD, SUBSTEPS = 0.001, 10
 COIL, GAIN, A1, A0 = 0.004, 0.9, 90.5, 3198.0  # 9 Hz
