@@ -380,6 +380,7 @@ def test_units_are_told_where_they_are_not_known(tmp_path, reference):
     for units, note in (
         ("", "no column has a unit: all count as V"),
         ("[s],[V],[bar],[V]\n", "the unit bar of lvdt is not known: it counts as V"),
+        ("s,V,mA,V\n", "the unit mA of lvdt is not known: it counts as V"),
     ):
         (tmp_path / "t.csv").write_text(HEADER + units + text(rows(reference)))
         assert note in load(tmp_path / "t.csv", PLAIN).problems

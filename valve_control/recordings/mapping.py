@@ -139,7 +139,7 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
         raise BagError(_nothing(bag, left_out))
     bag.problems += left_out
     if bag.table is not None:
-        used = [source.topic for parts in sources.values() for source in parts.values()]
+        used = {source.topic: source.scale for parts in sources.values() for source in parts.values()}
         bag.problems += bag.table.notes_on(used)
     return {
         valve: ValveTopics(valve, _namespace(valve), parts, *_own_topics(bag, _namespace(valve)))

@@ -58,9 +58,10 @@ class Column(NamedTuple):
 
     @property
     def bare_name(self) -> str:
-        """The name of the signal, or the column's without a known unit in brackets behind it."""
+        """The name of the signal, or the column's without a unit in brackets behind it, in () a known one."""
         named = NAMED_UNIT.fullmatch(self.name)
-        return self.label or (named["name"] if named and named["unit"].lower() in UNITS else self.name)
+        unit = named is not None and (self.name.endswith("]") or named["unit"].lower() in UNITS)
+        return self.label or (named["name"] if named and unit else self.name)
 
 
 def read(path: Path, notes: list[str]) -> list[Column]:
@@ -253,7 +254,10 @@ def _names(above: Sequence[list[str]], count: int) -> tuple[list[str], list[str]
         return named["X_Value"], ["", *named.get("Y_Unit_Label", units)[1:]]
     if len(fitting) > 1:
         last = [cell.strip("[]() ") for cell in fitting[-1]]
-        if all(cell[:1] in "[(" for cell in fitting[-1]) or all(cell.lower() in UNITS for cell in last):
+        if (
+            all(cell[:1] in "[(" for cell in fitting[-1])
+            or 2 * sum(cell.lower() in UNITS for cell in last) > count
+        ):
             units = last
             fitting.pop()
     names = fitting[-1] if fitting else [""] * count

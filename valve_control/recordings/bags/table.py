@@ -5,7 +5,7 @@
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -266,9 +266,9 @@ class TableFile:
         """Rows that have a time for the column of this topic, and their times [ns]."""
         return self.times[next(i for i, known in enumerate(self.topics) if known.name == topic)]
 
-    def notes_on(self, topics: Sequence[str]) -> list[str]:
-        """Where cells of the columns ``topics`` are empty, and what their units are where they do not say."""
-        found = [i for i, topic in enumerate(self.topics) if topic.name in topics]
+    def notes_on(self, scales: Mapping[str, Scale]) -> list[str]:
+        """Where cells of these topics are empty, and which units count as V; ``scales``: of the maps."""
+        found = [i for i, topic in enumerate(self.topics) if topic.name in scales]
         used, notes = [self.columns[i] for i in found], []
         for i, column in zip(found, used, strict=True):
             rows = self.times[i][0]
@@ -283,8 +283,9 @@ class TableFile:
             if empty := np.count_nonzero(np.isnan(column.values[rows])):
                 name = self.topics[i].name.removeprefix("/")
                 notes.append(f"{name} is empty in {empty} of {len(rows)} rows")
-        unknown = [c for c in used if c.unit and c.unit.lower() not in UNITS]
+        bare = [self.columns[i] for i in found if scales[self.topics[i].name] == ONE]
+        unknown = [c for c in bare if c.unit and c.unit.lower() not in UNITS]
         notes += [f"the unit {c.unit} of {c.bare_name} is not known: it counts as V" for c in unknown]
-        if used and not any(c.unit for c in used):
+        if bare and not any(c.unit for c in used):
             notes.append("no column has a unit: all count as V")
         return list(dict.fromkeys(notes))
