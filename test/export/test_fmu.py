@@ -15,8 +15,6 @@ from valve_control.control.simulation import offline
 from valve_control.parameter import defaults, updated
 
 fmpy = pytest.importorskip("fmpy")
-from fmpy.fmi2 import FMU2Slave  # noqa: E402
-from fmpy.fmi3 import FMU3Slave  # noqa: E402
 from fmpy.validation import validate_fmu  # noqa: E402
 
 pytestmark = pytest.mark.skipif(
@@ -49,16 +47,8 @@ class Slave:
     def __init__(self, path, folder):
         description = fmpy.read_model_description(str(path))
         self.references = {v.name: v.valueReference for v in description.modelVariables}
-        place = fmpy.extract(str(path), str(folder))
         self.two = description.fmiVersion == "2.0"
-        kind = FMU2Slave if self.two else FMU3Slave
-        self.fmu = kind(
-            guid=description.guid if self.two else description.instantiationToken,
-            unzipDirectory=place,
-            modelIdentifier=description.coSimulation.modelIdentifier,
-            instanceName="one",
-        )
-        self.fmu.instantiate()
+        self.fmu = fmpy.instantiate_fmu(fmpy.extract(str(path), str(folder)), description, "CoSimulation")
         if self.two:
             self.fmu.setupExperiment(startTime=0.0)
         self.fmu.enterInitializationMode()

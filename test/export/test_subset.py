@@ -7,7 +7,6 @@ import math
 import shutil
 import sys
 import types
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -255,13 +254,6 @@ class Kept(NamedTuple):
 Kept.changes = True  # a memory, which functions change in place
 
 
-@dataclass
-class Slots:
-    first: float
-    second: float
-    pair: Pair
-
-
 def told(m: Kept, text: str) -> None:
     raise AssertionError("C leaves it out")
 
@@ -272,56 +264,6 @@ told.node_only = True
 def added(m: Kept, by: float) -> float:
     m.first += by
     return m.first
-
-
-def risen(m: Kept, by: float) -> bool:
-    m.first += by
-    return by > 0.0
-
-
-def turned(m: Kept, before: Pair) -> None:
-    m.pair = m.pair._replace(first=before.second)
-    m.pair = m.pair._replace(second=before.first)
-
-
-def changed(m: Kept, a: float) -> float:
-    m.first, m.second = m.second, m.first
-    last = added(m, a)
-    turned(m, m.pair)
-    try:
-        if not risen(m, last):
-            m.second = -1.0
-    except (ArithmeticError, ValueError):
-        m.second = 0.0
-    m.second += m.first if a > 0.0 else m.pair.first
-    if a > 1e9:
-        told(m, f"{a}")
-    return m.second
-
-
-@given(st.tuples(*[st.floats(-1e3, 1e3)] * 4), st.floats(-1e3, 1e3))
-def test_a_memory_is_changed_in_place(in_place, numbers, a):
-    m, given = Slots(*numbers[:2], Pair(*numbers[2:])), (ctypes.c_double * 4)(*numbers)
-    assert bits(in_place(given, a)) == bits(changed(m, a))
-    assert [bits(x) for x in given] == [bits(x) for x in (m.first, m.second, *m.pair)]
-
-
-@pytest.fixture(scope="module")
-def in_place(tmp_path_factory):
-    if shutil.which("cc") is None:
-        pytest.skip("no C compiler")
-    folder = tmp_path_factory.mktemp("memory")
-    program = Program("test", HERE)
-    made = program.translate(changed, [Kind("record", Kept), REAL])
-    text = ["#include <stdbool.h>", "#include <stdint.h>", *program.types.values(), *program.functions]
-    call = f"{made.name}((test_kept_t *)memory, a)"
-    text.append(f"double out(double *memory, double a) {{ return {call}; }}")
-    assert "told" not in "".join(text) and "1e9" not in "".join(text).replace("1000000000.0", "1e9")
-    (folder / "memory.c").write_text("\n".join(text))
-    compiler.build([folder / "memory.c"], folder / "memory.so", ["-fPIC", "-shared"])
-    function = ctypes.CDLL(str(folder / "memory.so")).out
-    function.argtypes, function.restype = [ctypes.POINTER(ctypes.c_double), ctypes.c_double], ctypes.c_double
-    return function
 
 
 INSIDE = "added may change its memory inside another expression"

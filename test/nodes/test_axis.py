@@ -231,8 +231,6 @@ def test_what_cannot_be_followed_is_refused_in_one_sentence_and_changes_nothing(
         rows = np.array([[0.2, 0.0, 0.0], [0.3, 0.0, 0.0]])
         axis.trajectory.publish(trajectory(rows, 0.01))
         refuse("m/s outwards; the axis has")
-        axis.trajectory.publish(trajectory(rows + [[0.1, 0.0, 0.0]], 1.0))
-        refuse("begins 0.1 m from the present goal")
         axis.trajectory.publish(trajectory(rows, 1.0, joint="boom"))
         refuse("is for 'boom', not for 'axis'")
         assert axis.sample(0.2) == held
@@ -276,12 +274,12 @@ def test_wrong_readings_are_bridged_then_the_axis_stops_until_it_is_reset(ros, t
         assert child.poll() is None
 
 
-@contextmanager
-def axis_in_this_process(ros):
-    """An axis controller that works when it is told to, its sensor, and its answer to a reading."""
+def test_an_axis_whose_process_stood_still_while_readings_waited_stops_and_a_busy_one_does_not(
+    ros, monkeypatch
+):
+    monkeypatch.setattr(loop, "STALL", 10.0)
     words = ["--params-file", path_of("bench"), "-p", "stop.controller:=''", "-p", "sensor.timeout:=100.0"]
-    node = AxisController(cli_args=["--ros-args", *words])
-    axis = Played(ros)
+    node, axis = AxisController(cli_args=["--ros-args", *words]), Played(ros)
 
     def answer(position, waited=0.0):
         """Let ``node`` find a reading that has come, ``waited`` [s] after it should have looked."""
@@ -294,16 +292,6 @@ def axis_in_this_process(ros):
 
     try:
         spin_until(ros, axis.sensor.get_subscription_count, "axis_controller")
-        yield node, axis, answer
-    finally:
-        node.destroy_node()
-
-
-def test_an_axis_whose_process_stood_still_while_readings_waited_stops_and_a_busy_one_does_not(
-    ros, monkeypatch
-):
-    monkeypatch.setattr(loop, "STALL", 10.0)
-    with axis_in_this_process(ros) as (node, _, answer):
         for waited in (0.0, 0.0, 0.5 * loop.STALL):
             assert answer(0.2, waited)[0] is Mode.OK
         mode, text = answer(0.2, 2.0 * loop.STALL)
@@ -311,6 +299,8 @@ def test_an_axis_whose_process_stood_still_while_readings_waited_stops_and_a_bus
         assert node._state.command == 0.0
         node._on_reset(None, Trigger.Response())
         assert answer(0.21)[0] is Mode.OK and node._state.goal.position == 0.21
+    finally:
+        node.destroy_node()
 
 
 def test_axis_arc_waits_for_its_first_pressures_after_each_start(ros, tmp_path):
@@ -373,54 +363,3 @@ def test_an_axis_whose_sensor_fails_ends_with_0_v_on_the_valve(ros, tmp_path):
             request = ChangeState.Request(transition=Transition(id=wanted))
             assert call(ros, ChangeState, "/axis_controller/change_state", request).success
         spin_until(ros, lambda: log.read_text().count("waiting for spool_position") == 2, "its new beginning")
-
-
-def test_both_axes_of_the_arm_follow_goals_through_one_manifold_and_a_stop_ends_one_alone(ros, tmp_path):
-    """The processes of launch/arm.launch.xml with their files, here in lockstep."""
-    arm = str(ros_file.config_folder() / "arm.yaml")
-    rooms = {valve: ["-r", f"__ns:=/{valve}", "--params-file", path_of(f"crane_{valve}")] for valve in VALVES}
-    heard = tmp_path / "heard.yaml"  # by the upper level and by this test
-    heard.write_text("/**/axis_simulator:\n  ros__parameters:\n    listeners: 2\n")
-    clock = ["-p", "clock:=lockstep", "--params-file", str(heard)]
-    positions = {valve: [] for valve in VALVES}
-    with ExitStack() as stack:
-
-        def begin(node, name, words):
-            stack.enter_context(process(node, [*words, "--params-file", arm], tmp_path / f"{name}.log"))
-
-        begin("manifold", "manifold", ["-p", "lockstep:=true", "-p", "lvdt.frozen_samples:=0"])
-        for valve, words in rooms.items():
-            begin("axis_simulator", f"{valve}_simulator", [*words, *clock])
-            level = "axis_arc" if valve == "arm" else "axis_pid"
-            own = ["-p", "lockstep:=true", "-p", f"upper_level:={level}"]
-            begin("axis_controller", f"{valve}_controller", [*words, *own])
-        goals = {valve: ros.create_publisher(Float64, f"/{valve}/goal_position", SAMPLES) for valve in VALVES}
-
-        def listen(valve):
-            def hear(message):
-                positions[valve].append(message.position[message.name.index(valve)])
-
-            ros.create_subscription(JointState, f"/{valve}/joint_states", hear, SAMPLES)
-
-        def there(valve, goal):
-            spin_until(ros, lambda: abs(positions[valve][-1] - goal) < 0.002, f"{valve} at {goal} m", 60.0)
-
-        for valve in VALVES:
-            listen(valve)
-        spin_until(
-            ros,
-            lambda: all(positions.values()) and all(p.get_subscription_count() for p in goals.values()),
-            "both axes",
-            120.0,
-        )
-        for valve, way in VALVES.items():
-            goals[valve].publish(Float64(data=0.3 + way))
-        for valve, way in VALVES.items():
-            there(valve, 0.3 + way)
-        assert call(ros, Trigger, "/boom/axis_controller/stop", Trigger.Request()).success
-        goals["arm"].publish(Float64(data=0.3))
-        there("arm", 0.3)
-        assert abs(positions["boom"][-1] - 0.3 - VALVES["boom"]) < 0.005
-
-
-VALVES = {"boom": 0.02, "arm": -0.02}  # m  to go

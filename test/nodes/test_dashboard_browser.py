@@ -3,7 +3,6 @@
 """The dashboard as its users have it: in a browser, beside real nodes."""
 
 import itertools
-import os
 import re
 import signal
 import time
@@ -22,7 +21,6 @@ from valve_control.nodes.adapter import SAMPLES
 pytestmark = [pytest.mark.browser, needs_browser]
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-PICTURES = Path(os.environ.get("DASHBOARD_PICTURES", "out/dashboard_pictures"))
 TOKEN = "secret"
 NUMBERS = itertools.count(1)
 # 200 samples a second, and a loop that bears the pauses of a busy machine: the page is tested here.
@@ -108,14 +106,6 @@ def page(browser, page_address, ros):
     return browser
 
 
-def picture(page, name):
-    """Keep a picture of what the window shows."""
-    moving = "return document.getAnimations().filter((a) => a.playState === 'running').length"
-    until(lambda: page.js(moving) == 0, "the end of all transitions")
-    PICTURES.mkdir(parents=True, exist_ok=True)
-    page.driver.save_screenshot(str(PICTURES / f"dashboard_{name}.png"))
-
-
 def settled(read):
     """What ``read`` gives once it has given it twice."""
     values = [None]
@@ -173,7 +163,6 @@ def test_a_gain_moved_by_its_slider_changes_the_loop_and_the_plot(page, ros):
     page.click("#tab-tune")
     until(lambda: page.js("return !!document.querySelector('#undo')?.offsetParent"), "the form")
     until(lambda: page.figure("e_M") < 2.0, "the end of what the large gain did")
-    picture(page, "tune")
     page.press("#undo")
     spin_until(ros, lambda: get_double(ros, "pid.static_feedforward") == 1.18, "the feedforward as before")
     page.press("#undo")
@@ -197,7 +186,6 @@ def test_a_refused_value_shows_its_reason_and_changes_nothing(page, ros):
     assert "nothing was changed" in page.refusal("pid.break_frequency")
     assert kp(ros) == before and get_double(ros, "pid.break_frequency") == 0.0
     assert "inactive" not in page.text("#mode")
-    picture(page, "refused")
 
 
 def test_space_stops_the_valve_and_it_is_activated_again(page):
@@ -234,7 +222,6 @@ def test_pause_zoom_terms_and_view_outlive_a_reload(page):
     page.click(".vc-list input[value='term.unsaturated_voltage']")
     until(lambda: "unsaturated_voltage" in page.text("[data-panel=terms] .vc-legend"), "the term's legend")
     page.click(".vc-terms summary")
-    picture(page, "terms")
     page.open(page.driver.current_url)
     until(lambda: page.text(".vc-live") == "paused", "still paused")
     assert page.plots()["end"] == end
@@ -281,13 +268,7 @@ def test_a_window_without_the_token_looks(page, page_address, ros):
 def choose(page, name):
     """Choose a valve."""
     until(lambda: page.js("return !!document.querySelector('.vc-choice')?.offsetParent"), "several valves")
-    page.click(".vc-choice")
-
-    def item():
-        items = page.driver.find_elements("css selector", ".q-menu .q-item")
-        return next((i for i in items if i.text == name), None)
-
-    until(item, f"{name} among the valves").click()
+    page.choose(".vc-choice", name)
     until(lambda: name in page.text(".vc-choice"), f"{name} chosen")
 
 
@@ -355,7 +336,6 @@ def test_the_signals_of_an_axis_are_drawn_and_its_stop_is_said_and_ended(page, t
         until(lambda: goal.publish(aim) or shown_number(page, "axis", "goal") > begun + 1e-3, "a moving goal")
         until(lambda: abs(shown_number(page, "axis", "goal") - aim.data) < 1e-3, "the goal")
         until(lambda: abs(shown_number(page, "axis", "position") - begun - 0.03) < 2e-3, "the piston")
-        picture(page, "axis")
         assert call(ros, Trigger, f"{axis}/axis_controller/stop", Trigger.Request()).success
         page.wait_for("#notice", f"{axis}/axis_controller: stopped")
         page.wait_for("#mode", "inactive")
@@ -401,5 +381,4 @@ def test_without_a_valve_the_page_says_what_is_missing(browser, tmp_path, monkey
     with dashboard(tmp_path) as found:
         browser.driver.get(found)
         browser.wait_for("#notice", "No valve on the graph yet")
-        picture(browser, "none")
     browser.wait_for(".vc-live", "no connection to the dashboard; trying again")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that come slowly, late or by another clock: as a node has them."""
+"""Commands that come slowly, late or by another clock: as a node has them, and what loops make of them."""
 
 import math
 
@@ -8,6 +8,7 @@ import changed
 import numpy as np
 import pytest
 
+from benchmarks import command_times
 from valve_control.control.laws import command_lead
 from valve_control.control.simulation import delivery
 from valve_control.control.simulation.delivery import Delivery
@@ -46,3 +47,22 @@ def test_between_two_samples_a_step_is_not_gone_beyond():
 def test_what_no_upper_level_does_is_refused(wrong):
     with pytest.raises(ParameterError, match="--command-(period|jitter|drift) is .* must lie"):
         delivery.check(changed.controller(), wrong)
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return [case for case in command_times.tuned() if case.name.startswith("d3fxe_experiment")]
+
+
+@pytest.mark.parametrize("rate", [1000, 100])
+def test_sines_have_error_chatter_and_voltage_of_commands_in_time(cases, rate):
+    name = "the same, 2 % late" if rate == 1000 else "1000 ppm, jitter"
+    found = np.array([command_times.ratios(case, rate, name)["sines"] for case in cases])
+    assert np.all(found[:, 0] < command_times.LIMITS[0])
+    assert np.all(np.median(found, axis=0) < command_times.LIMITS)
+
+
+def test_strokes_and_steps_are_those_of_one_clock(cases):
+    for case in cases:
+        for motion, ratios in command_times.ratios(case, 1000, "1000 ppm").items():
+            assert np.all(np.array(ratios) < command_times.LIMITS), (case.name, motion, ratios)

@@ -10,11 +10,9 @@ import numpy as np
 
 from valve_control.control.analysis.indices import rms
 from valve_control.control.parameters import build, files, ros_file
-from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import valve
 from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001
 SETTLED = 400  # samples
@@ -48,29 +46,24 @@ def sine(time, amplitude=1.0, frequency=3.0):
     return amplitude * ease * ease * (3.0 - 2.0 * ease) * math.sin(2.0 * math.pi * frequency * time)
 
 
-def settings(**changes):
-    return changed.controller(**{"lvdt__max_rate": 1000.0, **changes})
+SWIFT = {"lvdt__max_rate": 1000.0}
 
 
-def run(send, every, shape=sine, samples=2000, jitter=0.0, plant=D3FXE, **changes):
-    """Every ``every`` samples ``send`` (supervisor, time, seconds after the last reading) is called.
+def made(**changes):
+    return changed.supervisor(**SWIFT, **changes)
 
-    ``jitter`` [s]: standard deviation of the way to the controller.
-    """
-    values = settings(**changes)
-    supervisor = Supervisor()
-    supervisor.apply(values, build.law_params(values))
-    p = build.valve_params(updated(VALVE, defaults(VALVE), plant))
+
+def run(send, every, shape=sine, **changes):
+    """2 s; every ``every`` samples ``send`` (supervisor, time, seconds after the last reading) is called."""
+    supervisor = made(**changes)
+    p = build.valve_params(changed.valve(**D3FXE))
     s = valve.initial(p)
     random = np.random.default_rng(5)
-    sent = np.arange(0, samples, every) * PERIOD
-    arrives = np.maximum.accumulate(sent + np.abs(jitter * random.standard_normal(len(sent))))
-    got, next_one = [], 0
-    for k in range(samples):
+    got = []
+    for k in range(2000):
         now = k * PERIOD
-        while next_one < len(sent) and arrives[next_one] <= now + 1e-9:
-            send(supervisor, float(sent[next_one]), float(arrives[next_one]) - (k - 1) * PERIOD)
-            next_one += 1
+        if k % every == 0:
+            send(supervisor, now, PERIOD)
         reading = valve.read(p, s, float(random.standard_normal()))
         voltage = supervisor.sample(reading, k + 1)
         got.append((supervisor.telemetry()[2], voltage, s.x.x0, shape(now)))

@@ -4,13 +4,12 @@
 
 import numpy as np
 import pytest
+from test_cycle_watch import PERIOD, Loop
 
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
-from valve_control.control.plant import valve
 from valve_control.control.plant.models import FOURTH_ORDER
 from valve_control.control.simulation import offline
-from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import defaults, updated
 
 
@@ -20,23 +19,6 @@ def settings(config, law, names, **source):
     made["controller"] = updated(CONTROLLER, made["controller"], {"controller": law})
     made["command_source"] = updated(NODES["command_source"], made["command_source"], source)
     return made
-
-
-def supervised(made, duration):
-    """All that a supervisor says in a run."""
-    values = made["controller"]
-    supervisor = Supervisor()
-    supervisor.apply(values, build.law_params(values))
-    p = build.valve_params(made["valve_simulator"])
-    s = valve.initial(p)
-    random = np.random.default_rng(int(made["valve_simulator"]["seed"]))
-    commands = build.commands({**made["command_source"], "duration": duration})
-    said = set()
-    for k, command in enumerate(commands.tolist()):
-        supervisor.command(command)
-        s = valve.step(p, s, supervisor.sample(valve.read(p, s, random.standard_normal()), k + 1))
-        said |= set(supervisor.conditions.values())
-    return said
 
 
 ORDINARY = [
@@ -53,7 +35,9 @@ ORDINARY = [
 @pytest.mark.parametrize(("law", "names"), ORDINARY, ids=lambda v: "+".join(v) if isinstance(v, tuple) else v)
 def test_nothing_is_said_in_the_first_examples_of_the_readme(config, scenario, law, names):
     made = settings(config, law, names, scenario=scenario)
-    assert supervised(made, 2.0) == set()
+    commands = build.commands({**made["command_source"], "duration": 2.0})
+    loop = Loop(made["controller"], made["valve_simulator"])
+    assert loop.run(len(commands), lambda t: float(commands[round(t / PERIOD)])).said == []
 
 
 def burden(config, changes, scenario, duration=3.0):

@@ -1,23 +1,22 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Course of the command: the motion of an upper level at the times of the readings."""
+"""Course of the command: the motion of an upper level at the times of the readings, and its clock."""
 
 import math
 
+import changed
 import numpy as np
 import pytest
 from grids import grid
 from hypothesis import given
 from hypothesis import strategies as st
-from slow import PERIOD, SETTLED, settings
+from slow import PERIOD, SETTLED, SWIFT, made
 
 from valve_control.control.analysis.indices import rms
-from valve_control.control.parameters import build
 from valve_control.control.simulation import delivery
 from valve_control.control.simulation.delivery import Delivery
-from valve_control.control.supervision import command_course
+from valve_control.control.supervision import clock, command_course
 from valve_control.control.supervision.command_course import LONGEST, Course
-from valve_control.control.supervision.supervisor import Supervisor
 
 P = command_course.Params(0.006, 0.0, 10.0, PERIOD)
 RATES = (0.001, 0.002, 0.005, 0.01)  # s  between two commands
@@ -129,9 +128,7 @@ def test_a_command_of_the_same_time_or_of_another_course_counts_at_once(elapsed)
 
 def test_a_driver_that_stood_still_beside_a_spool_at_rest_leaves_the_course_where_it_belongs():
     """For 10 ms no reading comes, and no number is missing: within 50 ms commands count at the right time."""
-    values = settings(controller="arc", lvdt__disturbance=0.0)
-    supervisor = Supervisor()
-    supervisor.apply(values, build.law_params(values))
+    supervisor = made(controller="arc", lvdt__disturbance=0.0)
     number, last = 0, 1999
     for k in range(2060):
         stands = last < k < last + 10
@@ -156,6 +153,35 @@ def test_the_command_is_that_of_the_motion(case):
     """5 Hz of 1 V: within 60 µs of its rate, where the newest command alone is off by milliseconds."""
     times = np.arange(4000) * PERIOD
     wanted = np.sin(2.0 * math.pi * 5.0 * times) * np.minimum(1.0, times / 0.3) ** 2
-    got = delivery.received(settings(), wanted, CASES[case])
+    got = delivery.received(changed.controller(**SWIFT), wanted, CASES[case])
     error = rms((got - wanted)[3 * SETTLED :])
     assert error < 2.0 * math.pi * 5.0 / math.sqrt(2.0) * 6e-5
+
+
+def offsets(came, stamps):
+    """Offset [s] after each message."""
+    s, found = clock.NOTHING, []
+    for time, stamp in zip(came, stamps, strict=True):
+        s = clock.step(s, float(time), float(time - stamp))
+        found.append(clock.offset(s))
+    return np.array(found)
+
+
+@grid("drift, jitter, period", [0.0, 1e-4, -1e-3], [0.0, 0.0001, 0.0014], [0.001, 0.01])
+def test_offset_and_drift_are_found_from_the_smallest_delays(drift, jitter, period):
+    stamps = np.arange(0.0, 10.0, period)
+    sent = 50.0 + stamps * (1.0 + drift)
+    came = np.maximum.accumulate(sent + np.random.default_rng(1).uniform(0.0, jitter, len(stamps)))
+    wrong = (offsets(came, stamps) - (sent - stamps))[stamps > 6.0]
+    share = 0.05 if period == 0.001 else 0.2  # of the jitter; fewer messages, a larger smallest delay
+    assert np.max(np.abs(wrong)) < 1e-5 + share * jitter
+
+
+@pytest.mark.parametrize("leap", [-3600.0, -0.03, 0.03, 3600.0])
+def test_a_clock_that_is_set_is_followed(leap):
+    """At once where it was set by more than LEAP; otherwise within two windows."""
+    stamps = np.arange(0.0, 4.0, 0.001)
+    sent = stamps + np.where(stamps < 2.0, 0.0, leap)
+    wrong = np.abs(offsets(sent, stamps) - (sent - stamps))
+    settled = 2.0 if leap < -clock.EARLY or leap > clock.LEAP else 3.2
+    assert np.max(wrong[stamps > settled]) < 1e-3

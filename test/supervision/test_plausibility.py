@@ -158,17 +158,6 @@ def test_friction_over_part_of_a_cycle_turns_no_sign_round(friction, after, ampl
         assert plausibility.wrongness(p, wrong) > 0.0
 
 
-def course(late, leap):
-    """What is said of a reading [V] that comes ``late`` [s] in a smooth course and leaps by ``leap`` [V]."""
-    p, s = lvdt.Params(11.0, 500.0, 0.1, 0, 0.5, 0.001, 0.0, 0.0, 0.0, 0.0), lvdt.NOTHING
-    for k in range(200):
-        fault, s = lvdt.step(p, s, 0.02 * math.sin(0.1 * k) + 0.01 * k, 0, 0.0, False, 0.001)
-        assert fault == lvdt.SOUND
-    smooth = 0.02 * math.sin(20.0) + 2.0 + 10.0 * late  # as fast as before
-    fault, _ = lvdt.step(p, s, smooth + leap, 0, 0.0, False, 0.001 + late)
-    return fault
-
-
 @pytest.mark.parametrize(("leap", "text"), [(-0.3, ", or are late by 10 ms"), (0.3, ""), (-3.0, "")])
 def test_readings_that_jump_back_along_their_course_may_be_late(leap, text):
     """At 30 V/s 10 ms are 0.3 V; 3 V would be 100 ms."""

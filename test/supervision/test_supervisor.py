@@ -6,6 +6,7 @@ import copy
 import math
 import sys
 import types
+from types import SimpleNamespace
 
 import changed
 import numpy as np
@@ -20,6 +21,8 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND, CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.simulation import offline
+from valve_control.control.supervision import bumpless_transfer
+from valve_control.control.supervision.bumpless_transfer import ZERO, Offset, State
 from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import ParameterError, defaults, lookup, updated
@@ -200,14 +203,6 @@ def test_readings_that_come_late_in_a_burst_are_no_lost_ones(law):
     loop.step(elapsed=0.01)
     loop.run(9, elapsed=0.0001)
     assert loop.run(40).voltages == Loop(law).run(390).voltages
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_silence_told_from_outside(law):
-    loop = Loop(law).run(300)
-    assert loop.supervisor.silence(0.02) == 0.0 and loop.supervisor.mode is Mode.SAFE
-    loop.run(2500)
-    assert loop.supervisor.mode is Mode.OK
 
 
 def crest(amplitude):
@@ -480,3 +475,21 @@ def test_voltage_is_given_once_and_is_the_one_returned(law, readings, lost):
         giving.rehearse()
     assert giving.telemetry() == pytest.approx(plain.telemetry(), nan_ok=True, abs=0.0)
     assert giving.conditions == plain.conditions and giving.memory.counts == plain.memory.counts
+
+
+@given(st.floats(0.001, 10.0), st.floats(1e-4, 1e-2), st.floats(-10.0, 10.0), st.floats(-100.0, 100.0))
+def test_the_decay_is_that_of_the_differential_equation(tau, period, value, rate):
+    p = bumpless_transfer.design(tau, period)
+    s = State(Offset(value, rate), ZERO, False)
+    for k in range(1, 50):
+        s = bumpless_transfer.step(p, s)
+        t = k * period
+        exact = (value + (rate + value / tau) * t) * math.exp(-t / tau)
+        assert s.voltage.value == pytest.approx(exact, rel=1e-9, abs=3e-9 * (1.0 + abs(value)))
+    assert s.command is ZERO
+
+
+def test_a_reference_behind_a_filter_goes_on_with_the_rate_of_the_filter():
+    p = SimpleNamespace(reshaping=SimpleNamespace(smoothing=200.0))
+    s = SimpleNamespace(reference=reshaping.State(1.5, 40.0), smooth=1.25)
+    assert bumpless_transfer.followed(p, s) == reshaping.State(1.25, 50.0)

@@ -6,15 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from slow import PERIOD, SETTLED, bare, motion_of, moving, run, settings, sine
+from slow import PERIOD, SETTLED, bare, made, motion_of, moving, run, sine
 
 from valve_control.control.commands import scenarios
-from valve_control.control.laws import reshaping
-from valve_control.control.parameters import build
 from valve_control.control.supervision import command_course, trajectory
 from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.record import Mode
-from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.control.supervision.watch import BOTH
 
 STROKE = scenarios.Shape("point_to_point", 1.5, 0.0, 0.1, 1.0, 1.0, 40.0, 2000.0, 0.4, 1.0)
@@ -26,28 +23,6 @@ def stroke(time):
 
 def sines(time):
     return sine(time) + 0.3 * sine(time, 1.0, 9.0) + 0.1 * sine(time, 1.0, 15.0)
-
-
-def made(**changes):
-    values = settings(**changes)
-    supervisor = Supervisor()
-    supervisor.apply(values, build.law_params(values))
-    return supervisor
-
-
-def test_the_reference_is_the_trajectory_itself():
-    """(8) inverted: what remains is the error of the Euler step."""
-    p = reshaping.Params(314.0, 0.8, 1e9, 1e9, PERIOD)
-    w = 2.0 * math.pi * 9.0
-    s = reshaping.State(0.0, w)
-    worst = 0.0
-    for k in range(1000):
-        t = k * PERIOD
-        wanted = math.sin(w * t), w * math.cos(w * t), -w * w * math.sin(w * t)
-        if k > 100:
-            worst = max(worst, abs(s.reference - wanted[0]))
-        s = reshaping.advance(p, s, reshaping.acceleration(p, s, reshaping.command_of(p, *wanted)))
-    assert worst < 2.5e-3  # the lag of a bare command makes 0.28 here
 
 
 @pytest.mark.parametrize("shape", [sine, sines, stroke])

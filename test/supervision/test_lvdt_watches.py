@@ -1,0 +1,160 @@
+# SPDX-FileCopyrightText: 2026 valve_control developers
+# SPDX-License-Identifier: Apache-2.0
+"""Watches over the readings: noise that has grown, a gain that drifts, a hum of the mains."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from grids import grid
+from test_cycle_watch import LAWS, PERIOD, TUNED, VALVES, Loop, sine
+
+from valve_control.control.supervision import gain_watch, hum_watch, plausibility
+
+
+def louder(loop, factor):
+    loop.p = loop.p._replace(lvdt=loop.p.lvdt._replace(noise=factor * loop.p.lvdt.noise))
+    return loop
+
+
+@grid("law, shipped, command", LAWS, VALVES, [sine(2.0, 1.5), lambda t: 0.0])
+def test_noise_that_is_ten_times_larger_is_named_with_its_figure(config, law, shipped, command):
+    loop = Loop.shipped(config, law, shipped).run(1300, command)
+    assert not [text for text in loop.said if "noise" in text]
+    louder(loop, 10.0).run(900, command)
+    said = [text for text in loop.said if "noise" in text]
+    assert len(said) == 1 and "lvdt_noise" in loop.supervisor.conditions
+    assert float(said[0].split()[3]) == pytest.approx(1e3 * loop.p.lvdt.noise, rel=0.2)
+    louder(loop, 0.1).run(1000, command)
+    assert "lvdt_noise" not in loop.supervisor.conditions
+
+
+@pytest.mark.parametrize("bits", [None, 10, 12])
+@pytest.mark.parametrize("law", ["arc", "pid"])
+def test_motion_and_rounding_are_no_noise(config, law, bits):
+    """Rest, then steps and fast sines; a quiet converter has no noise at rest."""
+    quiet = {} if bits is None else {"lvdt.noise": 0.0, "lvdt.resolution": 20.0 / 2**bits}
+    loop = Loop.shipped(config, law, "d3fxe", **quiet).run(1200, lambda t: 0.0)
+    for command in (lambda t: math.copysign(2.0, math.sin(20.0 * t)), sine(2.0, 8.0), sine(1.0, 20.0)):
+        loop.run(600, command)
+    assert not [text for text in loop.said if "noise" in text]
+
+
+MODEL = (20.0, 1200.0, 1200.0)  # a1 [1/s], a0, b0 [1/s²]
+
+
+@grid("law, shipped", LAWS, VALVES, strength=1)
+def test_an_lvdt_whose_gain_drifts_by_3_percent_a_second_is_reported(config, law, shipped):
+    """Before its gain has doubled; the figure is that of the change, within a sixth."""
+    loop = Loop.shipped(config, law, shipped)
+    while "lvdt_gain" not in loop.supervisor.conditions and len(loop.readings) < 33000:
+        loop.run(100, sine(1.5, 0.7), drift=0.03)
+    loop.run(1000, sine(1.5, 0.7), drift=0.03)
+    said = [text for text in loop.said if "start" in text and "over the voltage" in text]
+    assert said and "lvdt_gain" in loop.supervisor.conditions
+    assert float(re.search(r"are ([\d.]+) times", said[0]).group(1)) == pytest.approx(1.6, rel=0.17)
+
+
+def entries(p, c, ratio, frequency, friction, seconds, s=gain_watch.NOTHING):
+    """States of a valve with the model's poles whose readings are ``ratio`` times the model's."""
+    a1, a0, b0 = MODEL
+    omega = 2.0 * math.pi * frequency
+    shown = plausibility.initial(c, 0.0, 0.0).shown
+    for k in range(int(seconds / c.span)):
+        t = k * c.span
+        y = 2.5 * math.sin(omega * t)
+        v, a = 2.5 * omega * math.cos(omega * t), -omega * omega * y
+        u = (a + a1 * v + a0 * y) / b0 + math.copysign(friction, v) + 0.2
+        shown = shown._replace(y3=ratio * y, velocity=ratio * v, u4=u, warm=0.0)
+        s = gain_watch.step(p, s, plausibility.SeenBlock(0.0, 0.0, u, False, shown, 0.0))
+    return s
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.9, 1.0, 1.2, 1.45, 2.0])
+def test_the_change_is_measured_with_friction_and_offset(ratio):
+    c = plausibility.design(MODEL, PERIOD, 1.0, 0.1)
+    p = gain_watch.design({}, c)
+    s = entries(p, c, 1.0, 1.0, 0.5, 6.0)
+    s = entries(p, c, ratio, 1.0, 0.5, 20.0, s)
+    assert s.usual / s.present == pytest.approx(ratio, rel=0.05)
+    assert (gain_watch.text(p, s) != "") == (max(ratio, 1.0 / ratio) > gain_watch.CHANGED)
+
+
+def test_fast_motion_tells_nothing():
+    c = plausibility.design(MODEL, PERIOD, 1.0, 0.1)
+    p = gain_watch.design({}, c)
+    s = entries(p, c, 1.0, 5.0, 0.5, 6.0)
+    assert s.usual == 0.0
+
+
+THETA = (40.0, 1200.0, 1200.0)  # 1/s, 1/s², 1/s²
+CHECK = plausibility.design(THETA, PERIOD, 0.04, 0.1)
+
+
+def rest(t):
+    return 0.0
+
+
+def said(loop):
+    return [text for text in loop.said if "hum of" in text]
+
+
+@pytest.mark.parametrize(("law", "shipped"), TUNED)
+def test_hum_of_20_mv_is_named_at_rest_and_in_slow_motion(config, law, shipped):
+    """With the noise of the valve's LVDT. The frequency is that of the mains whatever the gains."""
+    for frequency, command in ((50.0, rest), (60.0, sine(0.5, 0.5))):
+        loop = Loop.shipped(config, law, shipped).run(300, command).run(2000, command, hum=(0.02, frequency))
+        (text,) = said(loop)
+        assert f"(mains: {frequency:.0f} Hz)" in text and loop.supervisor.memory.counts["safe_stops"] == 0
+        told, at = (float(x) for x in re.search(r"hum of (\S+) mV at (\S+) Hz", text).groups())
+        assert at == pytest.approx(frequency, abs=0.3)
+        # The loop adds to the hum what the valve makes of the voltage.
+        wave = np.hanning(1000) * np.exp(-2j * math.pi * frequency * PERIOD * np.arange(1000))
+        seen = 4e3 * abs(np.mean(wave * np.array(loop.readings[-1000:])))
+        assert told == pytest.approx(seen, rel=0.1)
+        loop.run(1300, command)
+        assert "lvdt_mains" not in loop.supervisor.conditions
+
+
+def watched(readings, commands=None, grain=0.0, at=0.0):
+    """State after ``readings`` [V] and ``commands`` [V], one a sample; the spool was ``at`` [V] before."""
+    p, s, state = hum_watch.design({}, CHECK), hum_watch.NOTHING, plausibility.initial(CHECK, at, 0.0)
+    for k, reading in enumerate(readings):
+        state = plausibility.step(CHECK, state, float(reading), 0.0, 1.0)
+        if state.held == 0.0:
+            command = 0.0 if commands is None else float(commands[k])
+            s = hum_watch.step(p, s, plausibility.SeenBlock(0.0, grain, 0.0, False, state.shown, command))
+    return s
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "frequency", "grain", "there"),
+    [
+        (0.02, 50.0, 0.0, 50.0),
+        (0.02, 50.4, 0.0, 50.4),
+        (0.02, 60.0, 0.0, 60.0),
+        (0.02, 51.0, 0.0, 0.0),  # no mains
+        (0.02, 47.0, 0.0, 0.0),
+        (0.009, 50.0, 0.0, 0.0),  # below 10 mV
+        (0.02, 50.0, 0.0195, 50.0),
+        (0.018, 50.0, 0.0195, 0.0),  # below the converter's step
+    ],
+)
+def test_amplitude_and_frequency_of_a_pure_hum(amplitude, frequency, grain, there):
+    t = np.arange(1700) * PERIOD
+    s = watched(amplitude * np.sin(2.0 * math.pi * frequency * t + 0.7) + 2.0, grain=grain)
+    assert s.frequency == pytest.approx(there, abs=0.02)
+    assert s.amplitude == pytest.approx(amplitude if there else 0.0, rel=0.03)
+
+
+def test_a_line_that_the_command_has_is_no_hum():
+    wave = 0.02 * np.sin(2.0 * math.pi * 50.0 * np.arange(1700) * PERIOD)
+    assert watched(wave, wave).frequency == 0.0 and watched(wave, 0.1 * wave).frequency > 0.0
+
+
+def test_noise_alone_is_no_hum():
+    """White noise of 30 mV, 20 times 10 s: three windows in a row never agree."""
+    random = np.random.default_rng(4)
+    for _ in range(20):
+        assert watched(0.03 * random.standard_normal(10_000)).frequency == 0.0
