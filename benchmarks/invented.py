@@ -101,7 +101,7 @@ def gone_through(folder: Path, seed: int, budget: int) -> dict[str, Any]:
     given: dict[str, Value] = dict(values)
     about: dict[str, Any] = {"seed": seed, "frequency_hz": frequency, "valve": given}
     (folder / "true.yaml").write_text(ros_file.as_yaml({"/**/valve_simulator": values}, []))
-    for way in (["--friction", "--delay"], ["--friction"], ["--delay"], []):
+    for way in (["--friction"], []):
         done = typed(folder, "identify", "--params-file", "true.yaml", *way, "--output", "valve.yaml")
         if done.returncode == 0:
             break

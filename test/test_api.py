@@ -34,6 +34,8 @@ def test_parameters_go_from_one_task_to_the_next(tmp_path):
     assert sheet.parameters is not None
     sheet.parameters.save(tmp_path / "sheet.yaml")
     assert vc.load(tmp_path / "sheet.yaml")[:2] == sheet.parameters[:2]
+    assert "damping" in vc.identify(data_sheet=[])
+    vc.simulate({"controller": {"arc.k1": np.float64(100.0)}}, duration=1.0)
     assert dict(vc.margins(sheet.parameters, controller="dcarc")) == dict(
         vc.margins(tmp_path / "sheet.yaml", controller="dcarc")
     )
@@ -62,6 +64,8 @@ def test_a_log_of_arrays_is_analysed(tmp_path):
         (lambda: vc.simulate({"controller": {"arc.k9": 1.0}}), "^parameters.yaml: .*'arc.k9'"),
         (lambda: vc.margins(VALVE).plot(), "margins draws no figure"),
         (lambda: vc.load("missing.yaml"), "missing.yaml"),
+        (lambda: vc.simulate(params_file="missing.yaml"), "missing.yaml"),
+        (lambda: vc.tune(controller="pid,dcarc"), "tune takes one law"),
     ],
 )
 def test_bad_input_is_one_sentence(task, sentence, capsys):

@@ -5,7 +5,7 @@
 Each option of ``valve-control TASK --help`` is a keyword, with underscores for dashes: a switch is True, an
 option that may stand several times takes a list, one of NAME=VALUE a dict. A motion may be an array [V],
 parameters may be a dict by node. Progress, notes and warnings go to standard error. Bad input raises
-ParameterError, a bag that cannot be read BagError, with one sentence.
+ParameterError, a bag that cannot be read BagError, with one sentence. A law that fails raises LawError.
 """
 
 import argparse
@@ -130,7 +130,8 @@ class Call(NamedTuple):
         for name in ENDINGS.keys() & self.options.keys():
             raise ParameterError(f"{name} is of the command line; the result of {self.task} has all outputs")
         with tempfile.TemporaryDirectory() as folder:
-            files = {name: f"{folder}/{name}.{ENDINGS[name]}" for name in wanted}
+            files = {name: f"{folder}/out/{name}.{ENDINGS[name]}" for name in wanted}
+            Path(folder, "out").mkdir()
             line = [self.task, *map(str, self.words), *self._options(Path(folder))]
             text, errors = io.StringIO(), _Without(f"{folder}/")
             with contextlib.redirect_stdout(text), contextlib.redirect_stderr(errors):
@@ -156,19 +157,21 @@ class Call(NamedTuple):
         return Result(text, status == 0, contents["json"][""], arrays, parameters, page, self)
 
     def _options(self, folder: Path) -> list[str]:
-        options = {**self.options, "params_file": [*self.parameters, *self.options.get("params_file", [])]}
+        files = [*self.parameters, *_several(self.options.get("params_file", []))]
+        options = {**self.options, "params_file": files}
         words: list[str] = []
         for name, value in options.items():
             option = WORDS.get(name, "--" + name.replace("_", "-"))
             if isinstance(value, Mapping):
                 value = [f"{k}={v if isinstance(v, str) else as_text(v)}" for k, v in value.items()]
             if name in MANY and value is not None:
-                words += [option, *map(str, value)]
+                words += [option, *map(str, value if isinstance(value, tuple) else _several(value))]
             elif value is True:
                 words.append(option)
             elif value is not None and value is not False:
-                several = value if isinstance(value, list) and not _is_motion(value) else [value]
-                words += [f"{option}={_word(one, folder, f'{name}_{i}')}" for i, one in enumerate(several)]
+                words += [
+                    f"{option}={_word(one, folder, f'{name}_{i}')}" for i, one in enumerate(_several(value))
+                ]
         return words
 
 
@@ -181,6 +184,11 @@ class _Without(io.TextIOBase):
     def write(self, text: str) -> int:
         """Write ``text``."""
         return self._stream.write(text.replace(self._folder, ""))
+
+
+def _several(value: Any) -> list[Any]:
+    """The entries of a list, or a single value."""
+    return value if isinstance(value, list) and not _is_motion(value) else [value]
 
 
 def _is_motion(value: Any) -> bool:
@@ -198,7 +206,8 @@ def _word(value: Any, folder: Path, name: str) -> str:
         np.save(folder / f"{name}.npy", np.asarray(value, dtype=float), allow_pickle=False)
         return str(folder / f"{name}.npy")
     if isinstance(value, Mapping):
-        value = Parameters(as_yaml({f"/**/{node}": values for node, values in value.items()}), {})
+        plain = {f"/**/{node}": outputs.plain(dict(values)) for node, values in value.items()}
+        value = Parameters(as_yaml(plain), {})
     if isinstance(value, Parameters):
         path = folder / value.name
         while path.exists():
@@ -263,6 +272,9 @@ def identify(*parameters: Source, bag: str | os.PathLike[str] | None = None, **o
 
 def tune(*parameters: Source, **options: Any) -> Result:
     """Search and verify the gains of one law for a valve and its spread; gives accepted parameters."""
+    law = str(options.get("controller", ""))
+    if "," in law or law == "all":
+        raise ParameterError(f"controller is {law}; tune takes one law, call it for each")
     return Call("tune", (), parameters, options).result("output")
 
 

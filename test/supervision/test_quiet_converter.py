@@ -65,13 +65,29 @@ def test_an_lvdt_that_freezes_in_motion_is_found(law, bits, phase):
     ids=["step", "weak amplifier", "not compared", "30 Hz"],
 )
 def test_an_lvdt_that_freezes_at_rest_is_found_when_the_command_moves(law, own, command, longest):
-    """The law pulls by more than any disturbance, or half of the amplifier's voltage; the reading stands."""
+    """The law pulls by more than any disturbance, or 0.7 of the amplifier's voltage; the reading stands."""
     loop = Loop({"controller": law, **own}, {"lvdt.resolution": BITS[12]}).run(200, lambda t: 0.0)
     n = 0
     while loop.supervisor.mode is not Mode.SAFE and n < longest:
         loop.run(1, command, frozen=0.0)
         n += 1
     assert "lvdt_frozen" in loop.supervisor.conditions
+
+
+@pytest.mark.parametrize(
+    ("noise", "noisy"), [(0.0, False), (0.1, False), (0.3, False), (0.6, False), (1.5, True), (5.0, True)]
+)
+def test_scatter_tells_noise_from_rounding(noise, noisy):
+    """White noise gives 4σ², rounding at most one squared step, at rest and in motion; ``noise`` in steps."""
+    p = lvdt.Params(11.0, 500.0, 0.1, 20, 0.5, PERIOD, 58.0, 1657.0, 1502.0, 5.0)
+    random = np.random.default_rng(3)
+    for speed in (0.0, 0.37, 2.5):  # steps a sample
+        s, shares = lvdt.NOTHING, []
+        for k in range(3000):
+            reading = 0.005 * math.floor(speed * k % 1000 + 0.5 + noise * random.standard_normal())
+            _, s = lvdt.step(p, s, reading, 0, 0.0, False, 0.0)
+            shares.append(s.standing.scatter / 0.005**2)
+        assert (np.median(shares[1000:]) > lvdt.NOISY) == noisy, (speed, np.median(shares[1000:]))
 
 
 @pytest.mark.parametrize(("speed", "fault"), [(8.0, lvdt.SOUND), (41.0, "frozen")])

@@ -205,6 +205,14 @@ def test_readings_that_come_late_in_a_burst_are_no_lost_ones(law):
     assert loop.run(40).voltages == Loop(law).run(390).voltages
 
 
+@pytest.mark.parametrize("law", LAWS)
+def test_silence_told_from_outside(law):
+    loop = Loop(law).run(300)
+    assert loop.supervisor.silence(0.02) == 0.0 and loop.supervisor.mode is Mode.SAFE
+    loop.run(2500)
+    assert loop.supervisor.mode is Mode.OK
+
+
 def crest(amplitude):
     """Longest time [samples] in which a sine of ``amplitude`` [V] and 1.5 Hz moves by less than 0.5 V."""
     return math.acos(1.0 - 0.5 / amplitude) / (math.pi * 1.5) / PERIOD

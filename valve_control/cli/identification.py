@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import bag_options, check_outputs, deliver, tell_notes, write_json, wrote
+from valve_control.cli.common import bag_options, check_outputs, deliver, say, tell_notes, write_json, wrote
 from valve_control.cli.simulate import SCENARIOS, setup_options
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
@@ -106,7 +106,8 @@ def _identify(arguments: argparse.Namespace) -> int:
     drawings = [path for path in arguments.characteristic if path not in tables]
     check_outputs(arguments, [arguments.output, *tables], [arguments.figure, *drawings])
     if arguments.data_sheet == []:
-        print("\n".join(row.described for row in datasheet.SHEET))
+        say(arguments, "\n".join(row.described for row in datasheet.SHEET))
+        write_json(arguments, {row.name: row.described for row in datasheet.SHEET})
         return 0
     tested = arguments.data_sheet is None
     found = _tested(arguments) if tested else _of_data_sheet(arguments)

@@ -309,10 +309,12 @@ class Supervisor:
         if self.memory.law is not None:
             self.memory, self._note = copy.copy(self.memory), Journal().note
             self.memory.counts = dict(self.memory.counts)
-            if self.memory.command.value is not None:
-                self.command(self.memory.command.value)
-            self.sample(self.memory.measurement, (self.memory.sequence or 0) + 1)
-            self.memory, self._note, self._terms = real
+            try:
+                if self.memory.command.value is not None:
+                    self.command(self.memory.command.value)
+                self.sample(self.memory.measurement, (self.memory.sequence or 0) + 1)
+            finally:
+                self.memory, self._note, self._terms = real
 
     def _tell_bursts(self, pace: rate.State) -> None:
         """Report whether readings come in bursts, after a window of their period."""

@@ -101,10 +101,9 @@ def valve(changes: Values) -> Identification:
         magnet=magnet,
     )
     gains = first_gains.first(known)
-    source = ", ".join(f"{name} {value:g} {lookup(SHEET, name).unit}" for name, value in changes.items())
-    return Identification(
-        f"data sheet: {source.replace(' -', '')}", known, gains.values, gains.notes, simulated=simulated
-    )
+    rows = (f"{name} {value:g} {lookup(SHEET, name).unit}" for name, value in changes.items())
+    source = "data sheet: " + ", ".join(row.removesuffix(" -") for row in rows)
+    return Identification(source, known, gains.values, gains.notes, simulated=simulated)
 
 
 def _model(frequency: float, damping: float, gain: float, coil: float) -> TransferFunction:

@@ -171,7 +171,8 @@ def _alike(voltage: Floats, position: Floats, lag: int) -> float:
     fit, _, _, _ = np.linalg.lstsq(columns, both, rcond=None)
     u, y = (both - columns @ fit).T
     size = math.sqrt(float(u @ u) * float(y @ y))
-    return float(u @ y) / size if float(u @ u) > NEW**2 * n * float(np.var(voltage)) else 0.0
+    news = size > 0.0 and float(u @ u) > NEW**2 * n * float(np.mean(np.square(voltage)))
+    return float(u @ y) / size if news else 0.0
 
 
 def stretches(tested: Experiment) -> list[Floats]:

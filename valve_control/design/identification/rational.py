@@ -248,7 +248,7 @@ def check_worth(made: Fit) -> None:
     if not made.error <= MISSED:
         raise ParameterError(
             f"order {made.order} misses the response by {100.0 * made.error:.2g} % rms and says nothing of "
-            "the valve (--order, --delay, --band or a better test)"
+            "the valve (--order, --band or a better test)"
         )
     if made.order > 2:
         # Coefficients of a stable denominator are positive: one that may as well be 0 is not in the data.

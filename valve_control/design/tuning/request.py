@@ -39,7 +39,7 @@ class Task(NamedTuple):
 def laws_of(names: str) -> list[Law]:
     """Laws of a list with commas, or all. Raises ParameterError."""
     asked = list(dict.fromkeys(name.strip() for name in names.split(",")))
-    if "all" in asked:
+    if asked == ["all"]:
         return [law for law in LAWS.values() if law.free]
     for name in asked:
         if name in LEFT_OUT:

@@ -38,7 +38,7 @@ TIME = re.compile(
     re.IGNORECASE,
 )  # a usual name of a time
 STAMP = re.compile(
-    r"(?:(\d{4})([-/.])(\d\d?)\2(\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4}))?"
+    r"(?=\d)(?:(\d{4})([-/.])(\d\d?)\2(\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4}))?"
     r"(?:(?:^|[T ,;])\s*(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?)?(?:Z|[+-]\d\d:?\d\d)?"
 )  # date, time of day, or both; zones are not regarded
 DAY = 86_400  # s
