@@ -3,6 +3,7 @@
 """identify as a user runs it: outputs that other commands take, bad input."""
 
 import json
+import shlex
 import sys
 from pathlib import Path
 
@@ -171,27 +172,9 @@ def test_one_step_gives_no_bounds_and_no_order_that_nobody_asked_for(run, tmp_pa
 
 def test_a_table_under_feedback_is_told_by_its_command(run, tmp_path):
     """Before: a response with bounds, of which the true one was outside."""
-    sweep = [
-        "--scenario",
-        "sweep",
-        "--set",
-        "sweep_time=15.0",
-        "--set",
-        "end_frequency=30.0",
-        "--duration",
-        "16",
-    ]
-    test = [
-        "--controller",
-        "pid",
-        "--set",
-        "lvdt.noise=0.02",
-        "--set",
-        "amplitude=0.5",
-        "--set",
-        "frequency=0.5",
-    ]
-    status, _, err = run("simulate", *test, *sweep, "--csv", "log.csv")
+    sweep = "--scenario sweep --set sweep_time=15.0 --set end_frequency=30.0 --duration 16 --csv log.csv"
+    test = "simulate --controller pid --set lvdt.noise=0.02 --set amplitude=0.5 --set frequency=0.5"
+    status, _, err = run(*shlex.split(f"{test} {sweep}"))
     assert status == 0, err
     columns = {"time": "time", "spool_position": "measurement", "valve_voltage": "voltage"}
     maps = [word for part, column in columns.items() for word in ("--map", f"{part}={column}")]

@@ -29,20 +29,15 @@ import numpy as np
 from valve_control import outputs
 from valve_control.arrays import Floats
 from valve_control.cli.command import parser
+from valve_control.cli.common import option_of
 from valve_control.control.parameters import files
 from valve_control.control.parameters.ros_file import as_text, as_yaml
 from valve_control.parameter import ParameterError, Values
 from valve_control.recordings.bags.errors import BagError
 
-__all__ = [
-    "BagError", "Figure", "ParameterError", "Parameters", "Result",
-    "analyze", "compare", "identify", "load", "margins", "replay", "simulate", "tune",
-]  # fmt: skip
-
 ENDINGS = {"json": "json", "npz": "npz", "csv": "csv", "html": "html", "output": "yaml", "figure": "svg"}
 MANY = ("band", "data_sheet")  # options that take several words
 DRAWN = ("simulate", "compare", "identify")
-WORDS = {"start": "--from", "end": "--to"}  # options that are words of Python
 
 
 class Parameters(NamedTuple):
@@ -140,7 +135,7 @@ class Call(NamedTuple):
                     status = int(arguments.run(arguments) or 0)
                 except (ParameterError, BagError) as error:
                     raise type(error)(str(error).replace(f"{folder}/", "")) from error
-            lines = [row for row in text.getvalue().splitlines() if not row.startswith(f"wrote {folder}")]
+            lines = [row for row in text.getvalue().splitlines() if folder not in row]
             contents = {name: dict(_contents(Path(file))) for name, file in files.items()}
         return status, "\n".join(lines), contents
 
@@ -161,7 +156,7 @@ class Call(NamedTuple):
         options = {**self.options, "params_file": files}
         words: list[str] = []
         for name, value in options.items():
-            option = WORDS.get(name, "--" + name.replace("_", "-"))
+            option = option_of(name)
             if isinstance(value, Mapping):
                 value = [f"{k}={v if isinstance(v, str) else as_text(v)}" for k, v in value.items()]
             if name in MANY and value is not None:

@@ -35,6 +35,11 @@ class Parser(argparse.ArgumentParser):
 INPUTS = ("params_file", "command", "source", "table", "bag", "bags", "config")  # options that name files
 
 
+def option_of(name: str) -> str:
+    """The option that sets the attribute ``name`` of the arguments."""
+    return {"start": "--from", "end": "--to"}.get(name, "--" + name.replace("_", "-"))
+
+
 def repeated(group: Any, option: str, metavar: str, text: str) -> None:
     """Add an ``option`` that may be given several times, whose help is ``text``."""
     group.add_argument(option, action="append", default=[], metavar=metavar, help=f"{text}; again for more")

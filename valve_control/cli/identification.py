@@ -7,7 +7,16 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import bag_options, check_outputs, deliver, say, tell_notes, write_json, wrote
+from valve_control.cli.common import (
+    bag_options,
+    check_outputs,
+    deliver,
+    option_of,
+    say,
+    tell_notes,
+    write_json,
+    wrote,
+)
 from valve_control.cli.simulate import SCENARIOS, setup_options
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
@@ -162,7 +171,8 @@ def _of_data_sheet(arguments: argparse.Namespace) -> "Identification":
     from valve_control.control.parameters import files as parameter_files
     from valve_control.design.identification import datasheet
 
-    _refuse(arguments, vars(arguments).keys() - WRITING, "identify --data-sheet tests nothing, so it")
+    others = [name for name in vars(arguments) if name not in WRITING]
+    _refuse(arguments, others, "identify --data-sheet tests nothing, so it")
     nodes = {"sheet": datasheet.SHEET}
     return datasheet.valve(parameter_files.given([], {}, arguments.data_sheet, nodes=nodes)["sheet"])
 
@@ -171,8 +181,7 @@ def _refuse(arguments: argparse.Namespace, names: Iterable[str], who: str) -> No
     """Raise ParameterError if one of the options ``names`` is there, which ``who`` takes not."""
     for name in names:
         if getattr(arguments, name) not in (None, [], False):
-            option = {"start": "from", "end": "to"}.get(name, name.replace("_", "-"))
-            raise ParameterError(f"{who} takes no {'' if name == 'bag' else '--'}{option}")
+            raise ParameterError(f"{who} takes no {name if name == 'bag' else option_of(name)}")
 
 
 def _simulated(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | None]":

@@ -17,6 +17,7 @@ from valve_control.cli.common import (
     check_outputs,
     clock_option,
     deliver,
+    option_of,
     output_group,
     parameter_options,
     repeated,
@@ -304,9 +305,7 @@ def _compare(arguments: argparse.Namespace) -> None:
 
         given = [name for name in SIMULATED if getattr(arguments, name) not in (None, [])]
         if given:
-            raise ParameterError(
-                f"compare with bags takes no --{given[0].replace('_', '-')}, which is for simulation"
-            )
+            raise ParameterError(f"compare with bags takes no {option_of(given[0])}, which is for simulation")
         compare_bags(arguments)
         return
     if arguments.html or arguments.map or arguments.clock:

@@ -19,6 +19,7 @@ from valve_control.cli.common import (
     check_search,
     deliver,
     fix_option,
+    option_of,
     say,
     tell_notes,
     write_json,
@@ -239,7 +240,7 @@ def _recorded(arguments: argparse.Namespace, settings: Mapping[str, Values], cho
 
     for name in OF_BAG:
         if getattr(arguments, name) not in (None, []):
-            raise ParameterError(f"tune --bag takes no --{name.replace('_', '-')}; the bag has its own")
+            raise ParameterError(f"tune --bag takes no {option_of(name)}; the bag has its own")
     if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
         raise ParameterError(f"--to {arguments.end:g} lies not after --from {arguments.start:g}")
     loaded = recording.load(

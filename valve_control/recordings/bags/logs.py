@@ -72,7 +72,7 @@ def read(path: Path, notes: list[str]) -> list[Column]:
     kind, reader = KINDS[path.suffix.lower()]
     try:
         return reader(path, notes)
-    except (BagError, OSError):
+    except (BagError, OSError, MemoryError):
         raise
     except Exception as error:  # the libraries raise what they meet
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -202,7 +202,7 @@ def _is_number(cell: str, separator: str) -> bool:
     try:
         _number(cell, separator)
     except ValueError:
-        return bool(cell) and STAMP.fullmatch(cell) is not None
+        return STAMP.fullmatch(cell) is not None
     return True
 
 
@@ -272,7 +272,7 @@ def _column(
 ) -> Column:
     """The column ``at`` this place from 1, whose ``cells`` stand in ``lines``: numbers, or stamps."""
     first = next((cell for cell in map(str.strip, cells) if cell.lower() not in MISSING), "")
-    stamp = STAMP.fullmatch(first) if first else None
+    stamp = STAMP.fullmatch(first)
     commas = [cell for cell in cells if "," in cell] if separator != "," and stamp is None else []
     flaw = "" if first else "nothing"
     if commas and any("." in cell for cell in cells):
@@ -305,7 +305,7 @@ def _day(year: str, month: str, day: str) -> int:
 def _nanoseconds(cell: str) -> int:
     """Time [ns] of a date since 1970, of a time of day since midnight. Raises ValueError."""
     found = STAMP.fullmatch(cell)
-    if not cell or found is None:
+    if found is None:
         raise ValueError
     year, _, month, day, german_day, german_month, german_year, *clock, fraction = found.groups()
     ns = int((fraction or "").ljust(9, "0")[:9])
