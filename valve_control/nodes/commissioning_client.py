@@ -251,11 +251,9 @@ class Controller:
             limited = max(-limits.voltage, min(limits.voltage, limited))
             if isinstance(value, Point):
                 # The point is of the next reading; that of now is sent, since its stamp tells when it was.
-                early = 0.0 if self._waits or not readings else ahead()
+                early = ahead() if readings else 0.0
                 rate = value.velocity - value.acceleration * early
                 at = began + round((due * self._period - early) * 1e9)
-                if self._waits and readings:  # whose time goes on with its readings
-                    at = readings[-1][1] + round(self._period * 1e9)
                 here = limited - (value.velocity - 0.5 * value.acceleration * early) * early
                 self._points.publish(encoded_point(here, rate, value.acceleration, at))
             else:
