@@ -240,18 +240,19 @@ class Controller:
         voltages: list[Sample] = []
         commands: list[tuple[int, float]] = []
         following: float | Point | None = None
+        soonest = self._period  # s  from a reading to the command that followed it
         began, due = time.time_ns(), 0  # due: number of the reading that the next command is for
 
-        def ahead() -> float:
-            """Time [s] until the next reading is due."""
-            return min(max(0.0, self._period - (time.time_ns() - readings[-1][1]) * 1e-9), self._period)
-
         def give(value: float | Point) -> None:
+            nonlocal soonest
             limited = value.position if isinstance(value, Point) else value
             limited = max(-limits.voltage, min(limits.voltage, limited))
             if isinstance(value, Point):
-                # The point is of the next reading; that of now is sent, since its stamp tells when it was.
-                early = ahead() if readings else 0.0
+                # The point is of the next reading. The controller takes the time of one that came soonest
+                # for that of its sending; a course of even times is smooth.
+                if readings:
+                    soonest = min(soonest, max(0.0, (time.time_ns() - readings[-1][1]) * 1e-9))
+                early = self._period - soonest
                 rate = value.velocity - value.acceleration * early
                 at = began + round((due * self._period - early) * 1e9)
                 here = limited - (value.velocity - 0.5 * value.acceleration * early) * early
