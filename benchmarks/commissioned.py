@@ -54,7 +54,6 @@ ANSWER = 20.0  # s
 SWING = 20.0  # V  the largest motion that can be believed, as a sine of the valve's bandwidth
 SIZE = 0.5  # of the motions of benchmarks.invented, which are larger than what the limits let a valve follow
 WANTED_SECONDS = 180.0
-OF_PAUSES = {"lvdt.period_limit": 1000.0}  # a busy machine is no other rate; silence is
 STOPPED, APART = (0.005, 0.06), (5.0, 15.0)  # s  that a process stands still, and from one time to the next
 # The simulated valve waits for its voltage, and the controller for readings: a busy machine is no dead time.
 PATIENT_VALVE = {"patience": 1.0}
@@ -182,7 +181,7 @@ def gone_through(
     frequency, order, valve, errors = draw(seed, period)
     # What a user has to say of a valve that is faster than that of the defaults.
     fastest = max(500.0, 2.0 * math.pi * frequency * SWING)
-    usual = {"sample_period": period, "lvdt.max_rate": fastest, **(OF_PAUSES if pauses else PATIENT)}
+    usual = {"sample_period": period, "lvdt.max_rate": fastest, **({} if pauses else PATIENT)}
     patience = {} if pauses else PATIENT_VALVE
     about: dict[str, Any] = {"seed": seed, "frequency_hz": frequency, "order": order, "valve": valve}
     kept = folder / "kept"

@@ -23,6 +23,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control.control.analysis import timing
 from valve_control.control.parameters.table import CONTROLLER
+from valve_control.control.supervision import rate
 from valve_control.design.commissioning import bench
 from valve_control.design.commissioning.bench import Fault, Pause, Point, Record, SafetyLimits, Watch
 from valve_control.nodes.adapter import (
@@ -73,6 +74,7 @@ class Controller:
         self._points = node.create_publisher(JointTrajectoryPoint, self._topics["spool_trajectory"], SAMPLES)
         self._waits = False  # whether the valve waits for its voltage
         self._period = 0.0  # s
+        self._counts = False  # whether the controller counts readings and looks at no stamp
         self._clients = {
             service: node.create_client(kind, f"{self.name}/{service}")
             for service, kind in (
@@ -137,6 +139,7 @@ class Controller:
                 raise Fault(f"{self.name} has no parameter {name}: it is no controller of this version")
             values[name] = value if isinstance(value, (bool, int, float, str)) else list(value)
         self._period = float(str(values["sample_period"]))
+        self._counts = float(str(values["lvdt.period_limit"])) >= rate.ANY
         return values
 
     def apply(self, changes: Mapping[str, Value]) -> None:
@@ -240,19 +243,18 @@ class Controller:
         voltages: list[Sample] = []
         commands: list[tuple[int, float]] = []
         following: float | Point | None = None
-        soonest = self._period  # s  from a reading to the command that followed it
         began, due = time.time_ns(), 0  # due: number of the reading that the next command is for
 
+        def ahead() -> float:
+            """Time [s] until the next reading is due."""
+            return min(max(0.0, self._period - (time.time_ns() - readings[-1][1]) * 1e-9), self._period)
+
         def give(value: float | Point) -> None:
-            nonlocal soonest
             limited = value.position if isinstance(value, Point) else value
             limited = max(-limits.voltage, min(limits.voltage, limited))
             if isinstance(value, Point):
-                # The point is of the next reading. The controller takes the time of one that came soonest
-                # for that of its sending; a course of even times is smooth.
-                if readings:
-                    soonest = min(soonest, max(0.0, (time.time_ns() - readings[-1][1]) * 1e-9))
-                early = self._period - soonest
+                # The point is of the next reading. That of now is sent to a controller that looks at stamps.
+                early = 0.0 if self._counts or not readings else ahead()
                 rate = value.velocity - value.acceleration * early
                 at = began + round((due * self._period - early) * 1e9)
                 here = limited - (value.velocity - 0.5 * value.acceleration * early) * early
