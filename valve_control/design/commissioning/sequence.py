@@ -376,8 +376,8 @@ class Commissioning:
             f"the new gains of {candidate.tuned.law} are set, and the valve moves for {length:.0f} s in "
             "closed loop"
         )
-        lead = {"reshaping.lead": self._before["reshaping.lead"]}  # of a law that chooses none
-        self._bench.apply({**lead, **candidate.changes, "command_limit": self._limits.travel})
+        course = {name: self._before[name] for name in ("reshaping.lead", "command.bridge", "command.lag")}
+        self._bench.apply({**course, **candidate.changes, "command_limit": self._limits.travel})
         try:
             record = self._moved("verification", motion)
         except Swings as fault:
