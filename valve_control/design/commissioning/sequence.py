@@ -376,7 +376,7 @@ class Commissioning:
             f"the new gains of {candidate.tuned.law} are set, and the valve moves for {length:.0f} s in "
             "closed loop"
         )
-        course = {name: self._before[name] for name in ("reshaping.lead", "command.bridge", "command.lag")}
+        course = {name: self._before[name] for name in ("reshaping.lead", "command.bridge")}
         self._bench.apply({**course, **candidate.changes, "command_limit": self._limits.travel})
         try:
             record = self._moved("verification", motion)
