@@ -476,13 +476,6 @@ def fault_reactions(path: Path) -> None:
 
 
 @picture
-def recording(path: Path) -> None:
-    """The recorded signals."""
-    my_recording()
-    recorded(path, {}, "three topics of the bag first_run")
-
-
-@picture
 def analysis(path: Path) -> None:
     """Head of the report of analyze."""
     my_recording()
@@ -568,23 +561,6 @@ def exported_watch(path: Path) -> None:
     bottom.plot(voltage, color=COLOURS[1], lw=0.6)
     top.set(ylabel="reading [V]", ylim=(-12.0, 12.0), title="check.csv of an export with --watch")
     bottom.set(ylabel="voltage [V]", xlabel="sample")
-    save(figure, path)
-
-
-@picture
-def loop_ratios(path: Path) -> None:
-    """Latencies of the loop over those of an echo, from the page's table."""
-    rows = numbers_of_table("howto/benchmarks.md", "              p50 [ms]  p99 [ms]    lost         p50")
-    figure, axis = plt.subplots(figsize=(9.0, 3.4))
-    at = np.arange(len(rows))
-    for i, (column, label) in enumerate(((3, "median"), (4, "99th percentile"))):
-        axis.bar(
-            at + 0.4 * i - 0.2, [row[column] for row in rows.values()], 0.4, color=COLOURS[i], label=label
-        )
-    axis.axhline(1.0, color="black", lw=0.8)
-    axis.set_xticks(at, list(rows))
-    axis.set(ylabel="over a plain echo", title="reading to voltage")
-    axis.legend(fontsize="small", loc="lower right")
     save(figure, path)
 
 
