@@ -305,9 +305,9 @@ def canopen_wiring(path: Path) -> None:
 def modbus_wiring(path: Path) -> None:
     """Analogue I/O on Modbus TCP."""
     boxes = {
-        "controller": (0.0, 0.0), "valve_driver\ndriver:=modbus": (2.2, 0.0),
-        "Modbus coupler\nown watchdog 100 ms": (4.6, 0.0), "amplifier": (8.2, 0.8),
-        "LVDT\nconverter": (8.2, -0.8), "valve": (9.8, 0.0),
+        "controller": (0.0, 0.0), "valve_driver\ndriver:=modbus": (2.4, 0.0),
+        "Modbus coupler\nown watchdog 100 ms": (5.2, 0.0), "amplifier": (8.2, 0.8),
+        "LVDT\nconverter": (8.2, -0.8), "valve": (9.6, 0.0),
     }  # fmt: skip
     coupler = "Modbus coupler\nown watchdog 100 ms"
     arrows = [
