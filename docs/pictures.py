@@ -419,19 +419,15 @@ def raised_gain(path: Path) -> None:
 
 @picture
 def commissioned(path: Path) -> None:
-    """Report of a commissioning over DDS, at the pace of the machine: both nodes wait for each other."""
-    valve = ["--params-file", "config/d3fxe.yaml", "-p", "patience:=1.0"]
-    patience = [
-        "-p",
-        "lvdt.hold_samples:=5000",
-        "-p",
-        "lvdt.period_limit:=1000.0",
-        "-p",
-        "lvdt.frozen_samples:=0",
-    ]
-    with nodes(["valve_simulator", *valve], ["controller", *patience]):
-        words = ["--yes", "--controller", "dcarc", "--max-voltage", "8", "--folder", "commission"]
-        valve_control("commission", *words)
+    """Report of the tutorial's commissioning, at the pace of the machine: both nodes wait for each other."""
+    valve_control("identify", "--params-file", SOLENOID, "--friction", "--output", "solenoid.yaml")
+    patience = ("lvdt.hold_samples:=5000", "lvdt.period_limit:=1000.0", "lvdt.frozen_samples:=0")
+    settings = [word for text in ("controller:=dcarc", *patience) for word in ("-p", text)]
+    with nodes(
+        ["valve_simulator", "--params-file", SOLENOID, "-p", "patience:=1.0"],
+        ["controller", "--params-file", "solenoid.yaml", *settings],
+    ):
+        valve_control("commission", "--yes", "--folder", "commission")
     screenshot("commission/report.html", path, 1500)
 
 
