@@ -142,31 +142,17 @@ def axes(rows: int, height: float) -> tuple[Any, list[Any]]:
     return figure, list(grid[:, 0])
 
 
+def legend(axis: Any) -> None:
+    """A legend above the plot, where it covers no data."""
+    place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1, "frameon": False}
+    axis.legend(ncols=len(axis.get_legend_handles_labels()[0]), fontsize="small", **place)
+
+
 def save(figure: Any, path: Path) -> None:
     """Write a figure."""
     figure.tight_layout()
     figure.savefig(path, dpi=100)
     plt.close(figure)
-
-
-def recorded(path: Path, marks: dict[float, str], title: str) -> None:
-    """Command, position, error and voltage of the recording ``analysed.csv``, with marked times."""
-    s = columns("analysed.csv")
-    figure, (top, middle, bottom) = axes(3, 6.5)
-    top.plot(s["time_s"], s["command_V"], "k", lw=1.2, label="spool_command")
-    middle.plot(s["time_s"], s["error_V"], color=COLOURS[2], lw=0.8)
-    top.plot(s["time_s"], s["measurement_V"], color=COLOURS[0], lw=1.0, label="spool_position")
-    bottom.plot(s["time_s"], s["voltage_V"], color=COLOURS[1], lw=0.8, label="valve_voltage")
-    for at, text in marks.items():
-        for axis in (top, middle, bottom):
-            axis.axvline(at, color="grey", ls="--", lw=1.0)
-        bottom.annotate(text, (at, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -12),
-                        textcoords="offset points", fontsize=8)  # fmt: skip
-    top.set(ylabel="spool [V]", title=title)
-    middle.set_ylabel("error [V]")
-    bottom.set(ylabel="voltage [V]", xlabel="time [s]")
-    top.legend(loc="lower right", ncols=2, fontsize="small")
-    save(figure, path)
 
 
 def diagram(
@@ -187,13 +173,17 @@ def diagram(
         tip: dict[str, Any] = {"arrowstyle": "<|-|>" if "<->" in text else "-|>", "color": "#333333"}
         tip["patchA"], tip["patchB"] = (shapes[name].get_bbox_patch() for name in (start, end))
         axis.annotate("", boxes[end], boxes[start], arrowprops=tip, zorder=1)
-        (x0, y0), (x1, y1) = boxes[start], boxes[end]
+        course = axis.transData.transform(np.linspace(boxes[start], boxes[end], 200))
+        inside = [tip[name].get_window_extent() for name in ("patchA", "patchB")]
+        free = [at for at in course if not any(box.contains(*at) for box in inside)]
+        x, y = axis.transData.inverted().transform(np.mean(free, axis=0))
+        flat = boxes[start][1] == boxes[end][1]
         axis.text(
-            (x0 + x1) / 2,
-            (y0 + y1) / 2 + (0.04 if y0 == y1 else 0.0),
+            x,
+            y + (0.04 if flat else 0.0),
             text.replace("<->", "").strip(),
             ha="center",
-            va="bottom" if y0 == y1 else "center",
+            va="bottom" if flat else "center",
             fontsize=8,
             linespacing=1.6,
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
@@ -226,7 +216,23 @@ def changes() -> dict[float, str]:
 def live_change(path: Path) -> None:
     """The cascade over DDS, its gains and its law changed while it runs."""
     my_recording()
-    recorded(path, changes(), "cascade over DDS: a gain and the law are changed while it runs")
+    s = columns("analysed.csv")
+    figure, (top, middle, bottom) = axes(3, 6.5)
+    top.plot(s["time_s"], s["measurement_V"], color=COLOURS[0], lw=1.0, label="spool_position")
+    top.plot(s["time_s"], s["command_V"], "k--", lw=1.2, label="spool_command")
+    middle.plot(s["time_s"], 1e3 * s["error_V"], color=COLOURS[1], lw=0.8)
+    bottom.plot(s["time_s"], s["voltage_V"], color=COLOURS[2], lw=0.8)
+    for at, text in changes().items():
+        for axis in (top, middle, bottom):
+            axis.axvline(at, color="grey", ls="--", lw=1.0)
+        bottom.annotate(text, (at, 1.0), xycoords=("data", "axes fraction"), xytext=(3, 4),
+                        textcoords="offset points", fontsize=8)  # fmt: skip
+    top.set_ylabel("spool [V]")
+    top.set_title("cascade over DDS", loc="left")
+    middle.set_ylabel("error [mV]")
+    bottom.set(ylabel="valve_voltage [V]", xlabel="time [s]")
+    legend(top)
+    save(figure, path)
 
 
 @picture
@@ -299,9 +305,9 @@ def canopen_wiring(path: Path) -> None:
 def modbus_wiring(path: Path) -> None:
     """Analogue I/O on Modbus TCP."""
     boxes = {
-        "controller": (0.0, 0.0), "valve_driver\ndriver:=modbus": (2.2, 0.0),
-        "Modbus coupler\nown watchdog 100 ms": (4.8, 0.0), "amplifier": (7.1, 0.8),
-        "LVDT\nconverter": (7.1, -0.8), "valve": (8.6, 0.0),
+        "controller": (0.0, 0.0), "valve_driver\ndriver:=modbus": (2.4, 0.0),
+        "Modbus coupler\nown watchdog 100 ms": (5.2, 0.0), "amplifier": (8.2, 0.8),
+        "LVDT\nconverter": (8.2, -0.8), "valve": (9.6, 0.0),
     }  # fmt: skip
     coupler = "Modbus coupler\nown watchdog 100 ms"
     arrows = [
@@ -358,8 +364,7 @@ def lockstep(path: Path) -> None:
     for at, (start, end, text) in enumerate(messages):
         tip = {"arrowstyle": "-|>", "color": COLOURS[at // 4]}
         axis.annotate("", (at + 0.6, -end), (at, -start), arrowprops=tip)
-        background = {"facecolor": "white", "edgecolor": "none"}
-        axis.text(at + 0.4, -(start + end) / 2, text, fontsize=8, va="center", bbox=background)
+        axis.text(at + 0.22, -(start + end) / 2, text, fontsize=8, ha="right", va="center")
     axis.set(xlim=(-1.8, 8.0), ylim=(-2.4, 0.4))
     axis.set_title("the simulator waits for voltage k before it computes reading k+1")
     axis.axis("off")
@@ -380,11 +385,13 @@ def linearised(path: Path) -> None:
     for i, (label, files) in enumerate((("pid", []), ("pid, linearised", ["--params-file", "curve.yaml"]))):
         words = ["--controller", "pid", "--scenario", "sine", "--set", "frequency=1.0", "--duration", "3.0"]
         s = simulated(f"run{i}", *valve, *words, "--params-file", "valve.yaml", *files)
-        top.plot(s["time"], s["position"] - s["command"], color=COLOURS[i], lw=1.0, label=label)
-        bottom.plot(s["time"], s["voltage"], color=COLOURS[i], lw=0.8)
-    top.set(ylabel="error [V]", title="overlap of 0.3 V, gains 15 % apart, sine of 1 Hz")
+        colour, error = COLOURS[1 + i], 1e3 * (s["position"] - s["command"])
+        top.plot(s["time"], error, color=colour, lw=1.0, label=label)
+        bottom.plot(s["time"], s["voltage"], color=colour, lw=0.8)
+    top.set_ylabel("error [mV]")
+    top.set_title("overlap of 0.3 V, gains 15 % apart, sine of 1 Hz", loc="left")
     bottom.set(ylabel="voltage [V]", xlabel="time [s]")
-    top.legend(fontsize="small", loc="lower right")
+    legend(top)
     save(figure, path)
 
 
@@ -404,25 +411,23 @@ def raised_gain(path: Path) -> None:
     top.semilogx(gains, [i["e_rms"] for i in indices], "o-", color=COLOURS[0])
     bottom.semilogx(gains, [i["c_u"] for i in indices], "o-", color=COLOURS[1])
     top.set(ylabel="e_rms [V]", title="OARC on the valve of config/d3fxe.yaml")
-    bottom.set(ylabel="c_u", xlabel="oarc.ks1 = oarc.ks2")
+    bottom.set(ylabel="chatter c_u", xlabel="oarc.ks1 = oarc.ks2 [1/s]")
+    bottom.set_xticks(gains, [f"{gain:g}" for gain in gains], minor=False)
+    bottom.set_xticks([], minor=True)
     save(figure, path)
 
 
 @picture
 def commissioned(path: Path) -> None:
-    """Report of a commissioning over DDS, at the pace of the machine: both nodes wait for each other."""
-    valve = ["--params-file", "config/d3fxe.yaml", "-p", "patience:=1.0"]
-    patience = [
-        "-p",
-        "lvdt.hold_samples:=5000",
-        "-p",
-        "lvdt.period_limit:=1000.0",
-        "-p",
-        "lvdt.frozen_samples:=0",
-    ]
-    with nodes(["valve_simulator", *valve], ["controller", *patience]):
-        words = ["--yes", "--controller", "dcarc", "--max-voltage", "8", "--folder", "commission"]
-        valve_control("commission", *words)
+    """Report of the tutorial's commissioning, at the pace of the machine: both nodes wait for each other."""
+    valve_control("identify", "--params-file", SOLENOID, "--friction", "--output", "solenoid.yaml")
+    patience = ("lvdt.hold_samples:=5000", "lvdt.period_limit:=1000.0", "lvdt.frozen_samples:=0")
+    settings = [word for text in ("controller:=dcarc", *patience) for word in ("-p", text)]
+    with nodes(
+        ["valve_simulator", "--params-file", SOLENOID, "-p", "patience:=1.0"],
+        ["controller", "--params-file", "solenoid.yaml", *settings],
+    ):
+        valve_control("commission", "--yes", "--folder", "commission")
     screenshot("commission/report.html", path, 1500)
 
 
@@ -468,18 +473,11 @@ def fault_reactions(path: Path) -> None:
     axis.invert_yaxis()
     axis.set(xscale="log", xlabel="reaction time [ms]")
     axis.grid(True, alpha=0.3)
-    axis.legend(fontsize="small")
+    legend(axis)
     save(figure, path)
 
 
 # Record
-
-
-@picture
-def recording(path: Path) -> None:
-    """The recorded signals."""
-    my_recording()
-    recorded(path, {}, "three topics of the bag first_run")
 
 
 @picture
@@ -496,15 +494,21 @@ def what_if(path: Path) -> None:
     my_recording()
     words = ["--mode", "what-if", "--controller", "dcarc", "--params-file", "config/d3fxe.yaml"]
     valve_control("replay", "first_run", *words, "--csv", "what_if.csv")
-    s = columns("what_if.csv")
-    figure, (top, bottom) = axes(2, 5.2)
-    top.plot(s["time_s"], s["command_V"], "k", lw=1.2, label="recorded command")
-    for i, (name, label) in enumerate((("recorded", "recorded"), ("simulated", "what-if dcarc"))):
-        top.plot(s["time_s"], s[f"{name}_measurement_V"], color=COLOURS[i], lw=1.0, label=label)
-        bottom.plot(s["time_s"], s[f"{name}_voltage_V"], color=COLOURS[i], lw=0.7)
-    top.set(ylabel="spool [V]", title="the recorded command under another law")
+    both = columns("what_if.csv")
+    shown = (both["time_s"] >= 7.0) & (both["time_s"] < 10.0)
+    s = {name: values[shown] for name, values in both.items()}
+    figure, (top, middle, bottom) = axes(3, 6.5)
+    for name, label, colour in (("recorded", "recorded", "0.55"), ("simulated", "what-if dcarc", COLOURS[0])):
+        position = s[f"{name}_measurement_V"]
+        top.plot(s["time_s"], position, color=colour, lw=1.0, label=label)
+        middle.plot(s["time_s"], 1e3 * (position - s["command_V"]), color=colour, lw=0.8)
+        bottom.plot(s["time_s"], s[f"{name}_voltage_V"], color=colour, lw=0.7)
+    top.plot(s["time_s"], s["command_V"], "k--", lw=1.0, label="command")
+    top.set_ylabel("spool [V]")
+    top.set_title("three seconds of the recording", loc="left")
+    middle.set_ylabel("error [mV]")
     bottom.set(ylabel="voltage [V]", xlabel="time [s]")
-    top.legend(fontsize="small", loc="lower right", ncols=3)
+    legend(top)
     save(figure, path)
 
 
@@ -529,9 +533,9 @@ def recovered(path: Path) -> None:
     lost = whole["time_s"][~stamps]
     if len(lost) == 0:
         raise ValueError("nothing was lost; damage more of the bag")
-    axis.set(xlim=(lost[0] - 1.0, lost[-1] + 1.0), title=f"two damaged chunks, {len(lost)} readings lost")
-    axis.set(ylabel="spool_position [V]", xlabel="time [s]")
-    axis.legend(fontsize="small", loc="lower right")
+    axis.set(xlim=(lost[0] - 1.0, lost[-1] + 1.0), ylabel="spool_position [V]", xlabel="time [s]")
+    axis.set_title(f"two damaged chunks, {len(lost)} readings lost", loc="left")
+    legend(axis)
     save(figure, path)
 
 
@@ -545,14 +549,16 @@ def lead_law(path: Path) -> None:
     shutil.copytree(ROOT / "docs" / "examples" / "lead_law", "lead_law")  # pip builds in it
     subprocess.run([sys.executable, "-m", *words, "./lead_law"], check=True)
     ENVIRONMENT["PYTHONPATH"] = f"{ROOT}{os.pathsep}{Path('plugin').resolve()}"
-    figure, (axis,) = axes(1, 3.8)
-    for i, (law, *words) in enumerate((("open_loop",), ("lead", "--set", "lead.gain=3.0"))):
+    figure, (top, bottom) = axes(2, 5.2)
+    for law, colour, *words in (("open_loop", "0.55"), ("lead", COLOURS[2], "--set", "lead.gain=3.0")):
         s = simulated(law, "--controller", law, *words)
-        if i == 0:
-            axis.plot(s["time"], s["command"], "k", lw=1.2, label="command")
-        axis.plot(s["time"], s["position"], color=COLOURS[i], lw=1.0, label=law)
-    axis.set(ylabel="spool [V]", xlabel="time [s]", title="lead.gain = 3.0")
-    axis.legend(fontsize="small", loc="lower right")
+        top.plot(s["time"], s["position"], color=colour, lw=1.0, label=law)
+        bottom.plot(s["time"], 1e3 * (s["position"] - s["command"]), color=colour, lw=1.0)
+    top.plot(s["time"], s["command"], "k--", lw=1.0, label="command")
+    top.set_ylabel("spool [V]")
+    top.set_title("lead.gain = 3.0", loc="left")
+    bottom.set(ylabel="error [mV]", xlabel="time [s]")
+    legend(top)
     save(figure, path)
 
 
@@ -566,25 +572,8 @@ def exported_watch(path: Path) -> None:
     figure, (top, bottom) = axes(2, 5.0)
     top.plot(reading, ".", ms=1.5, color=COLOURS[0])
     bottom.plot(voltage, color=COLOURS[1], lw=0.6)
-    top.set(ylabel="reading [V]", ylim=(-12.0, 12.0), title="check.csv of an export with --watch")
+    top.set(ylabel="reading [V]", ylim=(-12.0, 12.0), title="run of check.csv, with its faults")
     bottom.set(ylabel="voltage [V]", xlabel="sample")
-    save(figure, path)
-
-
-@picture
-def loop_ratios(path: Path) -> None:
-    """Latencies of the loop over those of an echo, from the page's table."""
-    rows = numbers_of_table("howto/benchmarks.md", "              p50 [ms]  p99 [ms]    lost         p50")
-    figure, axis = plt.subplots(figsize=(9.0, 3.4))
-    at = np.arange(len(rows))
-    for i, (column, label) in enumerate(((3, "median"), (4, "99th percentile"))):
-        axis.bar(
-            at + 0.4 * i - 0.2, [row[column] for row in rows.values()], 0.4, color=COLOURS[i], label=label
-        )
-    axis.axhline(1.0, color="black", lw=0.8)
-    axis.set_xticks(at, list(rows))
-    axis.set(ylabel="over a plain echo", title="reading to voltage")
-    axis.legend(fontsize="small", loc="lower right")
     save(figure, path)
 
 

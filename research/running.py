@@ -14,6 +14,15 @@ from typing import Any
 
 from valve_control import interrupts
 from valve_control.cli.common import Parser, ended
+from valve_control.control.analysis.figures import COLOURS
+
+_DRAWN = ("dcarc", "pid", "oarc", "arc", "servo", "pid_reference")
+LAW_COLOURS = {
+    **dict(zip(_DRAWN, COLOURS, strict=True)),
+    "pid_plain": COLOURS[1],
+    "open_loop": "0.55",
+    "oracle": "0.75",
+}  # of each law and valve in all figures of this folder
 
 
 def options(name: str, description: str, numbers: bool = True) -> Parser:

@@ -162,8 +162,8 @@ def draw(path: Path, found: dict[str, Measured]) -> None:
     phase.set_ylim(-270.0, 0.0)
     gain.axhline(-3.0, color="grey", lw=0.8)
     phase.axhline(-90.0, color="grey", lw=0.8)
-    loop.legend(fontsize=8)
-    figure.tight_layout()
+    figure.legend(*loop.get_legend_handles_labels(), loc="upper center", ncols=len(found), frameon=False)
+    figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.96))
     outputs.write(str(path), outputs.figure_bytes(figure, str(path)))
 
 

@@ -96,7 +96,6 @@ def _figure(found: Mapping[str, Mapping[str, "Errors"]], path: str) -> bytes:
     from matplotlib.ticker import LogFormatter, StrMethodFormatter
 
     from research import comparison
-    from valve_control.control.analysis.figures import COLOURS
 
     figure = Figure(figsize=(11.0, 4.0 * len(found)))
     heads = list(comparison.motions())
@@ -112,7 +111,7 @@ def _figure(found: Mapping[str, Mapping[str, "Errors"]], path: str) -> bytes:
                 median,
                 width,
                 yerr=[np.zeros_like(median), high - median],
-                color="0.6" if name == comparison.ORACLE else COLOURS[i % len(COLOURS)],
+                color=running.LAW_COLOURS[name],
                 error_kw={"lw": 1.0, "capsize": 2},
                 label=f"{name}, c_u {chatter:.2f}",
             )

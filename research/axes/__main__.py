@@ -103,12 +103,20 @@ def _draw_axes(path: Path, found: "Mapping[str, Sequence[Result]]") -> None:
     plots = [
         Plot(
             title,
-            [Line(name, share, np.sort([pick(r) for r in results])) for name, results in found.items()],
+            [
+                Line(name, share, np.sort([pick(r) for r in results]), running.LAW_COLOURS[name])
+                for name, results in found.items()
+            ],
             True,
         )
         for title, pick in picks.items()
     ]
-    draw_columns([path], {"": plots}, "axes [%]", "what a fast valve buys")
+    draw_columns(
+        [path],
+        {"": plots},
+        "share of the axes [%]",
+        "servo valve of 100 Hz, and the slow valve under each law",
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:

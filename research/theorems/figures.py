@@ -135,6 +135,6 @@ def draw_dcarc(paths: Sequence[Path], study: loop.Study, learned: learning.Exper
     speed.set(xlabel="fit_noise over the shipped one (left: fast)", ylabel="error over that without learning")
     for axis in (broken, bound, speed):
         axis.grid(True, alpha=0.3)
-        axis.legend(fontsize=8)
+        axis.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
     figure.tight_layout()
     _save(figure, paths)
