@@ -60,6 +60,7 @@ def ask(client, name, value):
     return client.call_async(SetParameters.Request(parameters=[parameter]))
 
 
+@pytest.mark.campaign
 def test_an_answer_to_a_client_that_has_left_does_not_hold_up_the_loop(ros, tmp_path):
     """The least of several times, beside what the same answers cost rclpy's own way.
 
