@@ -52,7 +52,6 @@ class CommandSource(Worker):
         self._message = ""
         self._publisher: Any = None
         self._fault, self._fault_left = "none", 0
-        self._second: Any = None
         self._next = 0.0
         self._epoch = 0.0  # s  of the first command of this motion
         self._last_time = 0.0  # s  of the last command
@@ -76,11 +75,6 @@ class CommandSource(Worker):
         if fault != self._fault:
             self._fault = fault
             self._fault_left = int(number(values, "fault.samples")) if fault != "none" else 0
-            if fault == "second_publisher" and self._second is None:
-                self._second = self._another(word(values, "message"))
-            elif fault != "second_publisher" and self._second is not None:
-                self.destroy_publisher(self._second)
-                self._second = None
         shaped_by = [values[name] for name in SHAPING]
         if shaped_by == self._shaped_by:
             return
@@ -95,7 +89,11 @@ class CommandSource(Worker):
         if message != self._message:
             if self._publisher is not None:
                 self.destroy_publisher(self._publisher)
-            self._message, self._publisher = message, self._another(message)
+            self._message = message
+            if message == "trajectory":
+                self._publisher = self.create_publisher(JointTrajectoryPoint, "spool_trajectory", SAMPLES)
+            else:
+                self._publisher = self.create_publisher(Float64, "spool_command", SAMPLES)
         self._commands = commands
         self._rates, self._accels = build.derivatives(commands, number(values, "sample_period"))
         self._every = int(number(values, "every"))
@@ -119,11 +117,6 @@ class CommandSource(Worker):
             f"{values['scenario']}: {len(self._commands) * self._period:g} s of commands, "
             f"waiting for {self._listeners} listener(s)"
         )
-
-    def _another(self, message: str) -> Any:
-        if message == "trajectory":
-            return self.create_publisher(JointTrajectoryPoint, "spool_trajectory", SAMPLES)
-        return self.create_publisher(Float64, "spool_command", SAMPLES)
 
     def inputs(self) -> Sequence[NumberSubscription]:
         """Subscription of the readings or voltages, if they pace the commands."""

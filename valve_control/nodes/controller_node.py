@@ -61,37 +61,29 @@ REMIND = 0.1  # s between two voltages of 0 V while the LVDT is silent
 WATCH_GRAPH = 0.1  # s between two looks at who publishes and reads, and between two parts of the journal
 LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 NEVER = math.inf
-WARMING = 0.65  # of a period after a reading
 STANDS_BY = "another publisher on valve_voltage controls this valve, so this controller does not"
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
-# s between those of two valves of a process, by whether it is safe mode: all at once would hold up all.
-TURNS = {False: 0.01, True: 0.002}
 Built = tuple[Any, realtime.Request, tuple[str, ...]]  # Params of the law, and terms of ~/terms
 
 
 class Controller(Managed):
     """Reads `spool_position`, `spool_command`, `spool_trajectory`, publishes `valve_voltage` and `~/state`.
 
-    ``alone``: whether the process has no other node; ``single``: whether it has no other valve, whose samples
-    would warm the CPU's caches.
+    ``alone``: whether the process has no other node.
     """
 
     table = CONTROLLER
-    told = -NEVER  # s, when one of the process's controllers last told a change
 
-    def __init__(self, single: bool = True, alone: bool = True, **options: Any) -> None:
+    def __init__(self, alone: bool = True, **options: Any) -> None:
         super().__init__("controller", **options)
         self._journal = Journal()
         self._supervisor = Supervisor(self._journal.note)
-        self._single = single
         self._said: tuple[Mode, str] | None = None
         self._announced: dict[str, float] = {}  # s, when a change was last told, by source
-        self._tell_at = NEVER  # s, when it is this valve's turn to tell one
         self._lockstep: Lockstep | None = None
         self._in_lockstep = False
         self._watch_at = NEVER
         self._catching_up = False
-        self._warm_at = NEVER
         self._seen = 0.0  # s, last reading or silence
         self._pace: rate.State | None = None  # of the readings before the first that is used
         self._last_number = 0  # of a reading before the first that is used
@@ -149,7 +141,7 @@ class Controller(Managed):
         # Half a period more than the last reading that may still come in time.
         self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
         if self._in_lockstep:
-            self._watch_at = self._warm_at = NEVER
+            self._watch_at = NEVER
         every = int(parameter.number(values, "state_decimation"))
         self._telemetry.apply(self._supervisor.labels(), terms, every)
         if wanted != self._realtime:
@@ -200,7 +192,6 @@ class Controller(Managed):
         self._said = None
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._in_lockstep else self._seen + REMIND
-        self._warm_at = self._tell_at = NEVER
         self._pace = None if self._in_lockstep else rate.UNKNOWN
         self._catching_up = False
         self._timing.clear()
@@ -236,34 +227,26 @@ class Controller(Managed):
         return self._lockstep.inputs()
 
     def due(self) -> float:
-        """Next time [s] to act without a message: LVDT silent, caches, lockstep check, a change to tell."""
+        """Next time [s] to act without a message: LVDT silent, lockstep check."""
         look_at = NEVER if self._lockstep is None else self._lockstep.look_at
-        return min(self._watch_at, self._warm_at, look_at, self._tell_at) if self.working else NEVER
+        return min(self._watch_at, look_at) if self.working else NEVER
 
     def work(self) -> bool:
-        """Answer each waiting reading, or warm caches for the next; without a reading in time, switch off."""
+        """Answer each waiting reading; without one in time, switch off."""
         if not self.working:
             return False
-        tells = time.monotonic() >= self._tell_at  # in ``report``, which follows
-        if tells:
-            self._tell_at = NEVER
         if self._lockstep is not None:
             taken = self._lockstep.next(self._readings)
             if taken is not None:
                 self._answer(*taken)
-            return taken is not None or tells
+            return taken is not None
         worked = False
         for reading, info in self._readings.take():
             if not self._rivals.stands_by:
                 self._answer(reading, info)
             worked = True
         now = time.monotonic()
-        if self._warm_at <= now < self._watch_at and not worked:
-            self._warm_at = NEVER
-            self._take_commands()
-            self._supervisor.rehearse()
         if now >= self._watch_at and not worked:
-            self._warm_at = NEVER
             self._catching_up = self._stood_still(now)
             self._take_commands()
             if self._pace is not None:
@@ -273,7 +256,7 @@ class Controller(Managed):
                 self._publish(voltage)
             self._watch_at = now + REMIND
             worked = True
-        return worked or tells
+        return worked
 
     def _stood_still(self, now: float) -> bool:
         """Whether this process stood still until ``now`` [s], so that it did not look in time."""
@@ -290,12 +273,9 @@ class Controller(Managed):
     def _may_tell(self, safe: bool, of: str = "supervisor") -> bool:
         """Whether it is time to tell a change ``of`` something; if it is, it counts as told."""
         now = time.monotonic()
-        if not self._single and now < Controller.told + TURNS[safe]:
-            self._tell_at = Controller.told + TURNS[safe]
-            return False
         if now < self._announced.get(of, -NEVER) + QUIET and not safe:
             return False
-        self._announced[of] = Controller.told = now
+        self._announced[of] = now
         return True
 
     def _answer(self, reading: float, info: dict[str, Any]) -> None:
@@ -328,8 +308,6 @@ class Controller(Managed):
         self._timing.note(began, ended, latency, self._period)
         self._rivals.answered(began)
         if not self._in_lockstep:
-            if self._single:
-                self._warm_at = began + WARMING * self._period
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         self._telemetry.note(self._supervisor)
 
@@ -421,7 +399,7 @@ class Controller(Managed):
             return
         if self._rivals.stands_by:
             self._publish(self._supervisor.stop())
-            self._watch_at = self._warm_at = NEVER
+            self._watch_at = NEVER
             self.get_logger().error(f"safe: {STANDS_BY}")
         else:
             self.begin()
