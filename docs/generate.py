@@ -143,9 +143,8 @@ def _entity(node: str, call: ast.AST) -> Entity | None:
     elif function == "NumberSubscription":
         kind, type_name = "takes", ast.Name("Float64")
         _, name, last = arguments
-    elif function == "PointSubscription":
-        kind, type_name = "takes", ast.Name("JointTrajectoryPoint")
-        _, name, last = arguments
+    elif function == "Diagnostics":
+        return Entity(node, "publishes", "/diagnostics", "DiagnosticArray", QOS["SAMPLES"])
     elif function == "PolledSubscription":
         kind = "takes"
         _, type_name, name, last = arguments

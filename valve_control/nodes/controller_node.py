@@ -11,13 +11,14 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control import inputs, outputs, parameter
 from valve_control.control.laws.registry import LAWS, REFUSED
@@ -36,9 +37,7 @@ from valve_control.nodes.adapter import (
     Diagnostics,
     NumberSubscription,
     ParameterSet,
-    PointSubscription,
     PolledSubscription,
-    TrajectoryPoint,
     acquainted,
     encoded,
     number_of,
@@ -63,7 +62,7 @@ LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 NEVER = math.inf
 STANDS_BY = "another publisher on valve_voltage controls this valve, so this controller does not"
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
-Built = tuple[Any, realtime.Request, tuple[str, ...]]  # Params of the law, and terms of ~/terms
+Built = tuple[Any, tuple[str, ...]]  # Params of the law, and terms of ~/terms
 
 
 class Controller(Managed):
@@ -101,15 +100,12 @@ class Controller(Managed):
         self._checked: Future[None]
         self._checker = ThreadPoolExecutor(1)  # a thread's start takes milliseconds where memory is locked
         self._unnumbered = False  # whether the middleware has numbered no reading
-        self._realtime: realtime.Request | None = None
-        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
+        self._diagnostics = Diagnostics(self, self._diagnose)
         self._settings = ParameterSet(self, self.table, self._build, self._apply, alone)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save_parameters", self._on_save)
         self.create_service(Trigger, "~/load_parameters", self._on_load)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0, self._diagnose, clock=steady)
-        self.create_timer(WATCH_GRAPH, self._watch_graph, clock=steady)
+        self.create_timer(WATCH_GRAPH, self._watch_graph, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._check_stability()
         self._checked.result()
         if self._values["autostart"]:
@@ -119,10 +115,10 @@ class Controller(Managed):
         if refusal := self._supervisor.period_refusal(parameter.number(values, "sample_period")):
             raise ParameterError(refusal)
         chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
-        return build.law_params(values, self._values), realtime.request(values), named_terms(chosen)
+        return build.law_params(values, self._values), named_terms(chosen)
 
     def _apply(self, values: Values, built: Built) -> None:
-        params, wanted, terms = built
+        params, terms = built
         self._values = values
         self._supervisor.apply(values, params)
         self._params = params
@@ -144,9 +140,6 @@ class Controller(Managed):
             self._watch_at = NEVER
         every = int(parameter.number(values, "state_decimation"))
         self._telemetry.apply(self._supervisor.labels(), terms, every)
-        if wanted != self._realtime:
-            self._realtime = wanted
-            realtime.obtain(wanted, self.get_logger().warning)
         self._unchecked = True
         self._journal_topics.publish()
 
@@ -166,7 +159,7 @@ class Controller(Managed):
         # In lockstep each message is waited for.
         qos = SAMPLES if self._in_lockstep else NEWEST
         self._commands = NumberSubscription(self, "spool_command", qos)
-        self._trajectories = PointSubscription(self, "spool_trajectory", qos)
+        self._trajectories = PolledSubscription(self, JointTrajectoryPoint, "spool_trajectory", qos)
         self._readings = self._source(qos)
         sources = (self._commands, self._trajectories)
         self._lockstep = Lockstep(self, sources, self._use, self._acquainted) if self._in_lockstep else None
@@ -342,7 +335,7 @@ class Controller(Managed):
             for message, info in source.take():
                 self._use(message, info)
 
-    def _use(self, message: float | TrajectoryPoint, info: Mapping[str, Any] = {}) -> None:  # noqa: B006
+    def _use(self, message: Any, info: Mapping[str, Any] = {}) -> None:  # noqa: B006
         """Pass on a command or a point.
 
         Times mean nothing in lockstep, without ``info``, and where readings may come at any pace.
@@ -353,14 +346,15 @@ class Controller(Managed):
             ago = (time.time_ns() - received) * 1e-9 if received else 0.0
             since = time.monotonic() - self._seen - ago
         supervisor, journal, sent = self._supervisor, self._journal, info.get("source_timestamp", 0)
-        if not isinstance(message, TrajectoryPoint):
+        if not isinstance(message, JointTrajectoryPoint):
             supervisor.command(message, journal.seconds("command", sent * self._paced), since)
             self._last_command = time.monotonic()
             return
         counts = len(message.positions), len(message.velocities), len(message.accelerations)
         if counts == (1, 1, 1):
             motion = Motion(*message.positions, *message.velocities, *message.accelerations)
-            supervisor.trajectory(motion, journal.seconds("trajectory", message.time or sent), since)
+            own = message.time_from_start.sec * 10**9 + message.time_from_start.nanosec
+            supervisor.trajectory(motion, journal.seconds("trajectory", own or sent), since)
             self._last_command = time.monotonic()
         else:
             supervisor.trajectory_refused(*counts)

@@ -10,7 +10,6 @@ timers and discovery too, now and then, one node at a time.
 import argparse
 import gc
 import linecache
-import os
 import select
 import signal
 import sys
@@ -29,7 +28,6 @@ from rclpy.utilities import remove_ros_args
 from valve_control.nodes.adapter import PolledSubscription
 from valve_control.nodes.rclpy_internals import WaitSet, call_timer
 from valve_control.nodes.services import Reception, Unwatched
-from valve_control.nodes.transport import check_log_folder
 from valve_control.parameter import ParameterError
 
 CHORES = 0.05  # s between two looks at a node's timers beside samples ...
@@ -142,7 +140,6 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
     try:
         parser.parse_args(stray_words(sys.argv[1:]))
         remove_ros_args(sys.argv)  # refuses, and writes no line of the log as init does
-        check_log_folder(os.environ)
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy has no public type for bad --ros-args
         print(f"{sys.argv[0]}: {first_line(error)}", file=sys.stderr)

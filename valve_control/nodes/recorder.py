@@ -12,9 +12,9 @@ from heapq import merge
 from itertools import count
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
@@ -24,7 +24,6 @@ from valve_control.control.parameters.table import RECORDER
 from valve_control.inputs import expanded
 from valve_control.nodes.adapter import (
     EVERYTHING,
-    SAMPLES,
     UNKNOWN,
     Diagnostics,
     ParameterSet,
@@ -33,12 +32,11 @@ from valve_control.nodes.adapter import (
 )
 from valve_control.nodes.definitions import Definition, Definitions, message_class
 from valve_control.nodes.loop import Failure, Worker, run
-from valve_control.nodes.parameter_capture import EVENTS, ParameterCapture
+from valve_control.nodes.parameter_capture import EVENTS, ParameterCapture, full_name
 from valve_control.parameter import ParameterError, Values, items, word
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.writer import BagWriter, check, usual
 
-T = TypeVar("T", bound=tuple[Any, ...])
 DIAGNOSTICS = "/diagnostics"
 EVENT_TYPE = "rcl_interfaces/msg/ParameterEvent"
 # What is recorded unless ``topics`` says otherwise, with the types that the nodes of this package use.
@@ -138,14 +136,6 @@ def wanted(profiles: Sequence[QoSProfile]) -> tuple[ReliabilityPolicy, Durabilit
     )
 
 
-def merged(queues: Sequence[Sequence[T]]) -> list[T]:
-    """Entries of several queues by the time at their beginning, each queue's in its order.
-
-    A clock that is set back while they wait does not turn a queue's order around.
-    """
-    return list(merge(*queues, key=itemgetter(0)))
-
-
 class Recorded:
     """A topic that is recorded."""
 
@@ -214,7 +204,7 @@ class Recorder(Worker):
         self._overlooked: dict[str, str] = {}  # what a controller takes and no pattern names → what is said
         self._warnings: set[str] = set()  # that hold now
         self._logged: set[str] = set()  # warnings
-        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
+        self._diagnostics = Diagnostics(self)
         self._definitions = Definitions()
         self._failed = False
         self._unnumbered = False  # whether there is a topic whose messages have no numbers
@@ -263,7 +253,7 @@ class Recorder(Worker):
         return taken
 
     def _take(self) -> bool:
-        """Write all waiting messages in the order of their arrival."""
+        """Write all waiting messages in the order of their arrival; a clock set back does not turn a topic's."""
         taken = [
             [
                 (info["received_timestamp"] or time.time_ns(), topic, data, info)
@@ -272,7 +262,7 @@ class Recorder(Worker):
             for topic in self._topics.values()
             if topic.subscription is not None
         ]
-        for received, topic, data, info in merged(taken):
+        for received, topic, data, info in merge(*taken, key=itemgetter(0)):
             self._write(topic, received, data, info)
         return any(taken)
 
@@ -327,9 +317,8 @@ class Recorder(Worker):
                 for data, info in topic.adapt([info.qos_profile for info in ours]) if ours else ():
                     self._write(topic, info["received_timestamp"] or time.time_ns(), data, info)
             warnings |= {
-                f"{name} is published as {info.topic_type} by "
-                f"{info.node_namespace.rstrip('/')}/{info.node_name}: these messages are not recorded, "
-                f"the bag takes {type_name}"
+                f"{name} is published as {info.topic_type} by {full_name(info)}: "
+                f"these messages are not recorded, the bag takes {type_name}"
                 for info in infos
                 if info.topic_type != type_name
             }

@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.clock import Clock, ClockType
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
@@ -68,30 +67,24 @@ class ValveDriver(DeviceNode):
         self._arrivals: deque[float] = deque(maxlen=WINDOW)
         self._answers: deque[float] = deque(maxlen=WINDOW)  # s from a reading to its voltage
         self._counts = dict.fromkeys(("late_voltages", "voltage_refused", "voltage_timeouts"), 0)
-        self._realtime: realtime.Request | None = None
-        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
+        self._diagnostics = Diagnostics(self, self._diagnose)
         ParameterSet(self, VALVE_DRIVER, self._build, self._apply)
         self.create_service(SetBool, "~/enable", self._on_enable)
-        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self.device_values["autostart"]:
             self.autostart()
         else:
             self.get_logger().info("unconfigured, waits for lifecycle transitions")
 
-    def _build(self, values: Values) -> realtime.Request:
+    def _build(self, values: Values) -> None:
         self.refuse_changes(values)
         drivers.device(values)
-        return realtime.request(values)
 
-    def _apply(self, values: Values, wanted: realtime.Request) -> None:
+    def _apply(self, values: Values, built: None) -> None:
         self.use(values)
         self._watchdog = number(values, "watchdog")
         self._wait = number(values, "answer_share") * number(values, "sample_period")
         if self.working and self._begun and self._on != (values["enable"] is True):
             self._switch(values["enable"] is True)
-        if wanted != self._realtime:
-            self._realtime = wanted
-            realtime.obtain(wanted, self.get_logger().warning)
 
     # Life
 

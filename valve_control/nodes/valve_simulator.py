@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.clock import Clock, ClockType
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_msgs.msg import Float64
@@ -76,28 +75,26 @@ class ValveSimulator(Managed):
         self._complete_since = 0.0  # lockstep: when enough listeners had come
         self._fault = ("none", "none")
         self._fault_left = 0
-        self._realtime: realtime.Request | None = None
         self._counts = dict.fromkeys(
             ("late_voltages", "voltage_refused", "voltage_timeouts", "samples_skipped"), 0
         )
         self._clock_message = ClockMessage()
-        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
+        self._diagnostics = Diagnostics(self, self._diagnose)
         ParameterSet(self, VALVE, self._build, self._apply, alone)
-        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         for sentence in registry.REFUSED:
             self.get_logger().warning(sentence)
         if self._values["autostart"]:
             self.autostart()
 
-    def _build(self, values: Values) -> tuple[Any, realtime.Request]:
+    def _build(self, values: Values) -> Any:
         if values["clock"] == "lockstep" and values["fault.lvdt"] == "lost":
             raise ParameterError(
                 "fault.lvdt is lost, but in lockstep no reading can be: choose silent, or clock wall"
             )
-        return build.valve_params(values), realtime.request(values)
+        return build.valve_params(values)
 
-    def _apply(self, values: Values, built: tuple[Any, realtime.Request]) -> None:
-        former, (self._params, wanted) = self._params, built
+    def _apply(self, values: Values, built: Any) -> None:
+        former, self._params = self._params, built
         self._values = values
         self._patience = number(values, "patience")
         self._timeout = number(values, "voltage_timeout")
@@ -127,9 +124,6 @@ class ValveSimulator(Managed):
             self._fault_left = int(number(values, "fault.samples")) if injected else 0
         if "weak" in fault:
             self._params = self._plant.varied(self._params, WEAK, 0.0, 1.0)
-        if wanted != self._realtime:
-            self._realtime = wanted
-            realtime.obtain(wanted, self.get_logger().warning)
 
     def _sow(self) -> None:
         self._seed = int(number(self._values, "seed"))
