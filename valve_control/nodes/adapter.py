@@ -324,7 +324,12 @@ class Diagnostics:
             node.create_timer(1.0, diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def tell(self, level: bytes, message: str, values: dict[str, Any], *later: Callable[[], Any]) -> None:
-        """Publish a status with ``values`` and those of each of ``later``, which is a piece of its own."""
+        """Publish a status with ``values`` and those of each of ``later``, which is a piece of its own.
+
+        A managed node that does not work says that instead of ``level`` and ``message``.
+        """
+        if not getattr(self._node, "working", True):
+            level, message = DiagnosticStatus.OK, "inactive" if self._node.configured else "unconfigured"
         stamp = self._node.get_clock().now().to_msg()
         self._node.later(self._pieces(level, message, values, later, stamp))
 

@@ -372,8 +372,6 @@ class AxisController(Managed):
     def _diagnose(self) -> None:
         mode, text = axis_supervisor.mode(self._state)
         level = LEVELS[mode]
-        if not self.working:
-            level, text = DiagnosticStatus.OK, "inactive" if self.configured else "unconfigured"
         s = self._state
         values = {
             "mode": mode.name.lower(),

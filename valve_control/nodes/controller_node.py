@@ -489,8 +489,6 @@ class Controller(Managed):
 
     def _status(self) -> tuple[bytes, str]:
         """Level and sentence of the diagnostics."""
-        if not self.working:
-            return DiagnosticStatus.OK, "inactive" if self.configured else "unconfigured"
         if self._rivals.stands_by:
             return DiagnosticStatus.ERROR, f"{STANDS_BY}; {self._supervisor.reason}"
         return LEVELS[self._supervisor.mode], self._supervisor.reason

@@ -35,10 +35,9 @@ IDLE_CHORES = 0.01  # s  ... and while there are none; at most twice that
 CALM = 0.01  # s without a sample, after which services need not wait for the next
 SWITCH = 1e-4  # s after which another thread gives way to the loop
 STALL = 0.01  # s; the loop wakes on time unless its process stood still
-# Between two looks of the executor at a node that has only timers and polled subscriptions: without samples,
-# and beside them. A look takes 2 to 6 ms there, and only tells of another quality of service.
-EVENTS = {True: 0.25, False: 5.0}  # s
-
+# Between two looks of the executor at a node that has only timers and polled subscriptions, while there are no
+# samples: a look takes 2 to 6 ms beside them, and only tells of another quality of service.
+EVENTS = 0.25  # s
 
 _stopped: list[int] = []  # signals that have come
 
@@ -201,9 +200,9 @@ class Chores:
         now = time.monotonic()
         answered = any(True for _ in self.node.clients)  # or messages, which the executor may hand out
         unwatched = all(isinstance(one.callback_group, Unwatched) for one in self.node.subscriptions)
-        if now < self._look_at and unwatched and not answered:
+        if unwatched and not answered and not (calm and now >= self._look_at):
             return False
-        self._look_at = now + EVENTS[calm]
+        self._look_at = now + EVENTS
         return self._executed()
 
     def _executed(self) -> bool:

@@ -226,9 +226,7 @@ class ValveDriver(DeviceNode):
     def _diagnose(self) -> None:
         level, text = DiagnosticStatus.OK, "driving"
         conditions: tuple[Condition, ...] = ()
-        if not self.working:
-            text = "inactive" if self._device is not None else "unconfigured"
-        elif conditions := self._conditions():
+        if self.working and (conditions := self._conditions()):
             level, text = LEVELS[conditions[0].level], "; ".join(c.text for c in conditions)
         elif not self._fed:
             text = "waiting for valve_voltage, the output is at 0 V"

@@ -308,9 +308,7 @@ class ValveSimulator(Managed):
             "fault.valve": self._fault[1],
         }
         level, text = DiagnosticStatus.OK, "simulating"
-        if not self.working:
-            text = "inactive" if self.configured else "unconfigured"
-        elif self._centring:
+        if self._centring:
             level, text = DiagnosticStatus.ERROR, "no voltage: 0 V, the spring centres the spool"
         elif self._fault != ("none", "none"):
             level, text = DiagnosticStatus.WARN, "simulating a fault"
