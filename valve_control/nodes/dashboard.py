@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -95,16 +95,6 @@ def field(descriptor: Any) -> Parameter | None:
     return result
 
 
-class Pending(NamedTuple):
-    """A request that waits for its answer."""
-
-    future: Any  # of rclpy
-    client: Any
-    until: float  # s
-    done: Callable[[Any], None]
-    late: Callable[[], None]
-
-
 class Remote:
     """The services of another node, with what it has told of its parameters."""
 
@@ -120,12 +110,6 @@ class Remote:
         if service not in self._clients:
             self._clients[service] = self._owner.create_client(kind, f"{self.state.name}/{service}")
         return self._clients[service]
-
-    def ask(self, kind: Any, service: str, request: Any, done: Any, late: Any) -> None:
-        """Send a request; ``done`` gets the answer, or ``late`` is called after a while without one."""
-        client = self.client(kind, service)
-        future = client.call_async(request)
-        self._owner.pending.append(Pending(future, client, time.monotonic() + ANSWER, done, late))
 
     def learn(self) -> None:
         """Ask for names, descriptions and values, until they have come."""
@@ -251,9 +235,8 @@ class Dashboard(Worker):
 
     def __init__(self) -> None:
         super().__init__("dashboard")
-        self.pending: list[Pending] = []
         self.machine = Machine(self)
-        self._wishes: deque[Callable[[], None]] = deque()
+        self._wishes: deque[Iterator[None]] = deque()  # each is done, or goes on at the next poll
         self._watched: dict[str, Watched] = {}
         self._remotes: dict[str, Remote] = {}
         self._lives: dict[str, set[bytes]] = {}
@@ -315,17 +298,23 @@ class Dashboard(Worker):
     ) -> "Future[Answer]":
         answer: Future[Answer] = Future()
 
-        def act() -> None:
+        def act() -> Iterator[None]:
             remote = self._remotes.get(node)
             if remote is None or not remote.client(kind, name).service_is_ready():
                 answer.set_result(Answer(False, f"{node} has no service {name}, or is gone", False))
                 return
-            late = Answer(False, f"{node} did not answer within {ANSWER:g} s; it may be gone", False)
-            remote.ask(
-                kind, name, request, lambda a: answer.set_result(read(a)), lambda: answer.set_result(late)
-            )
+            client, until = remote.client(kind, name), time.monotonic() + ANSWER
+            future = client.call_async(request)
+            while not future.done():
+                if time.monotonic() > until:
+                    client.remove_pending_request(future)
+                    late = f"{node} did not answer within {ANSWER:g} s; it may be gone"
+                    answer.set_result(Answer(False, late, False))
+                    return
+                yield
+            answer.set_result(read(future.result()))
 
-        self._wishes.append(act)
+        self._wishes.append(act())
         return answer
 
     # Work
@@ -355,30 +344,13 @@ class Dashboard(Worker):
                 if remote is not None:
                     self._take_status(remote, status)
         for _ in range(len(self._wishes)):
-            self._wishes.popleft()()
-        self._settle(now)
+            wish = self._wishes.popleft()
+            if next(wish, self) is not self:
+                self._wishes.append(wish)
         if now >= self._look_at:
             self._look_at = now + LOOK
             self._look(now)
         return False
-
-    def _settle(self, now: float) -> None:
-        """Hand on the answers that have come, and give up what is late."""
-        waiting, self.pending = self.pending, []
-        for request in waiting:
-            if request.future.done():
-                try:
-                    answer = request.future.result()
-                except Exception as error:  # of rclpy: an answer that cannot be read
-                    self.get_logger().warning(str(error))
-                    request.late()
-                else:
-                    request.done(answer)
-            elif now > request.until:
-                request.client.remove_pending_request(request.future)
-                request.late()
-            else:
-                self.pending.append(request)
 
     def _take_status(self, remote: Remote, status: Any) -> None:
         valve, state, level = remote.valve, remote.state, LEVELS[min(status.level[0], 3)]

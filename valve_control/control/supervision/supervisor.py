@@ -54,11 +54,6 @@ def unused(*values: Any, **named: Any) -> None:
     """Placeholder for a receiver of the voltage or of rows, where nobody needs them."""
 
 
-def are_finite(voltage: float, terms: tuple[float, ...]) -> bool:
-    """Whether ``voltage`` [V] and each of ``terms`` are finite: a finite sum has finite parts."""
-    return math.isfinite(voltage + sum(terms)) or watch.are_finite(voltage, terms)
-
-
 class Supervisor:
     """Controls one valve: takes readings and commands, returns voltages, and reports conditions.
 
@@ -150,7 +145,7 @@ class Supervisor:
         another_curve = bool(self._form) and line != self._form[2]
         same_reference = before is not None and before.reshapes(former)
         if law is not before or line != self._form[2]:
-            own = {"hand_out": self._hand_out, "observe": self._observe, "are_finite": are_finite}
+            own = {"hand_out": self._hand_out, "observe": self._observe}
             self._steps = watch.with_places({**watch.places_of(law, line), **own})
             self._sample = self._steps.sample
         self._descriptor = law

@@ -150,7 +150,7 @@ def observe(m: Memory, terms: Any, voltage: float) -> None:
 
 
 def are_finite(voltage: float, terms: Any) -> bool:
-    """Whether a law's ``voltage`` [V] and each of its ``terms`` are finite; place of a quicker way, too."""
+    """Whether a law's ``voltage`` [V] and each of its ``terms`` are finite."""
     return math.isfinite(voltage) and all(map(math.isfinite, terms))
 
 
