@@ -15,9 +15,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
-from std_srvs.srv import SetBool
 
 from valve_control.control.drivers import trial
 from valve_control.control.drivers.driver import Condition, DriverError
@@ -69,7 +67,6 @@ class ValveDriver(DeviceNode):
         self._counts = dict.fromkeys(("late_voltages", "voltage_refused", "voltage_timeouts"), 0)
         self._diagnostics = Diagnostics(self, self._diagnose)
         ParameterSet(self, VALVE_DRIVER, self._build, self._apply)
-        self.create_service(SetBool, "~/enable", self._on_enable)
         if self.device_values["autostart"]:
             self.autostart()
         else:
@@ -210,18 +207,7 @@ class ValveDriver(DeviceNode):
             own.append(Condition("no_reading", "safe", "the device gives no readings"))
         return tuple(sorted((*found, *own), key=lambda c: c.level, reverse=True))
 
-    # Services and diagnostics
-
-    def _on_enable(self, request: Any, response: Any) -> Any:
-        (result,) = self.set_parameters([Parameter("enable", value=bool(request.data))])
-        device = self._device if self.working and self._begun else None
-        faults = [c.text for c in (device.conditions() if device else ()) if c.level == "safe"]
-        response.success = result.successful and not faults
-        told = "output on" if request.data else "output off"
-        if request.data and not self.working:
-            told = "the node is not active: the output comes on when it is"
-        response.message = result.reason or "; ".join(faults) or told
-        return response
+    # Diagnostics
 
     def _diagnose(self) -> None:
         level, text = DiagnosticStatus.OK, "driving"
