@@ -42,11 +42,12 @@ class Question:
 
     def __init__(self, node: Node, name: str, describe: bool = False) -> None:
         self._node = node
-        self._list = node.create_client(ListParameters, f"{name}/list_parameters")
-        self._get = node.create_client(GetParameters, f"{name}/get_parameters")
-        self._describe = (
-            node.create_client(DescribeParameters, f"{name}/describe_parameters") if describe else None
-        )
+        kinds = (ListParameters, GetParameters, *((DescribeParameters,) if describe else ()))
+        services = ("list_parameters", "get_parameters", "describe_parameters")
+        self._clients = {
+            kind: node.create_client(kind, f"{name}/{service}")
+            for kind, service in zip(kinds, services, strict=False)
+        }
         self.descriptors: Sequence[Any] = ()
         self._missed_at = time.monotonic()  # s, when one of the servers was not there
         self.answer = self._parameters()  # at each step None, or the parameters once they have come
@@ -54,12 +55,11 @@ class Question:
 
     def _parameters(self) -> Iterator[list[Parameter] | None]:
         depth = ListParameters.Request.DEPTH_RECURSIVE
-        listed = yield from self._answered(self._list, ListParameters.Request(depth=depth))
+        listed = yield from self._answered(ListParameters, depth=depth)
         names = listed.result.names
-        if self._describe is not None:
-            request = DescribeParameters.Request(names=names)
-            self.descriptors = (yield from self._answered(self._describe, request)).descriptors
-        got = yield from self._answered(self._get, GetParameters.Request(names=names))
+        if DescribeParameters in self._clients:
+            self.descriptors = (yield from self._answered(DescribeParameters, names=names)).descriptors
+        got = yield from self._answered(GetParameters, names=names)
         values = {
             name: Parameter(name=name, value=value)
             for name, value in zip(names, got.values, strict=False)
@@ -73,25 +73,22 @@ class Question:
                 values.pop(parameter.name, None)
         yield list(values.values())
 
-    def _answered(self, client: Any, request: Any) -> Generator[None, None, Any]:
-        future, ask_at = None, 0.0
+    def _answered(self, kind: Any, **fields: Any) -> Generator[None, None, Any]:
+        client, future, ask_at = self._clients[kind], None, 0.0
         while future is None or not future.done():
             now = time.monotonic()
-            if not all(one.service_is_ready() for one in self._clients()):
+            if not all(one.service_is_ready() for one in self._clients.values()):
                 self._missed_at = now
             if now >= max(ask_at, self._missed_at + ACQUAINT):
                 if future is not None:
                     client.remove_pending_request(future)
-                future, ask_at = client.call_async(request), now + ASK_AGAIN
+                future, ask_at = client.call_async(kind.Request(**fields)), now + ASK_AGAIN
             yield
         return future.result()
 
-    def _clients(self) -> list[Any]:
-        return [one for one in (self._list, self._get, self._describe) if one is not None]
-
     def destroy(self) -> None:
         """Stop asking."""
-        for client in self._clients():
+        for client in self._clients.values():
             self._node.destroy_client(client)
 
 
