@@ -96,8 +96,6 @@ def test_a_card_is_controlled_beside_it_and_its_faults_are_told(ros, tmp_path, e
     with process("controller", arguments, tmp_path / "c.log") as child:
         run(lambda: readings and abs(readings[-1] - 1.0) < 0.2, "the spool at its command")
         assert card._asked
-        refused = set_parameters(ros, lockstep=True)
-        assert not refused.successful and "a device keeps its own time" in refused.reason
         refused = set_parameters(ros, serial__baud=9600)
         assert not refused.successful and "serial.baud of an open device" in refused.reason
         assert set_parameters(ros, arc__k1=150.0, voltage__high=4.0).successful

@@ -80,7 +80,6 @@ class Controller(Managed):
         self._said: tuple[Mode, str] | None = None
         self._announced: dict[str, float] = {}  # s, when a change was last told, by source
         self._lockstep: Lockstep | None = None
-        self._in_lockstep = False
         self._watch_at = NEVER
         self._catching_up = False
         self._seen = 0.0  # s, last reading or silence
@@ -101,7 +100,7 @@ class Controller(Managed):
         self._checker = ThreadPoolExecutor(1)  # a thread's start takes milliseconds where memory is locked
         self._unnumbered = False  # whether the middleware has numbered no reading
         self._diagnostics = Diagnostics(self, self._diagnose)
-        self._settings = ParameterSet(self, self.table, self._build, self._apply, alone)
+        self._settings = ParameterSet(self, self.table, self._build, self._apply, alone, ("lockstep",))
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save_parameters", self._on_save)
         self.create_service(Trigger, "~/load_parameters", self._on_load)
@@ -125,19 +124,9 @@ class Controller(Managed):
         self._period = parameter.number(values, "sample_period")
         self._paced = parameter.number(values, "lvdt.period_limit") < rate.ANY
         self._journal_topics.apply(parameter.number(values, "memory_period"))
-        if values["lockstep"] != self._in_lockstep:
-            self._in_lockstep = values["lockstep"] is True
-            if self.configured:
-                for topic in (self._readings, self._commands, self._trajectories):
-                    topic.destroy()
-                self._subscribe()
-            if self.working and not self._in_lockstep:  # whoever gave readings may have ended
-                self._seen = time.monotonic()
-                self._watch_at = self._seen + REMIND
+        self._in_lockstep = values["lockstep"] is True
         # Half a period more than the last reading that may still come in time.
         self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
-        if self._in_lockstep:
-            self._watch_at = NEVER
         every = int(parameter.number(values, "state_decimation"))
         self._telemetry.apply(self._supervisor.labels(), terms, every)
         self._unchecked = True
@@ -153,9 +142,6 @@ class Controller(Managed):
         self._send_voltage = sender(self._voltages)
         self._telemetry.open()
         self._journal_topics.open()
-        self._subscribe()
-
-    def _subscribe(self) -> None:
         # In lockstep each message is waited for.
         qos = SAMPLES if self._in_lockstep else NEWEST
         self._commands = NumberSubscription(self, "spool_command", qos)
@@ -279,11 +265,7 @@ class Controller(Managed):
             self.get_logger().warning(UNKNOWN)
         if not self._in_lockstep:
             self._take_commands()
-        if (
-            self._pace is not None
-            and not self._in_lockstep
-            and self._awaits_period(self._pace, number, began)
-        ):
+        if self._pace is not None and self._awaits_period(self._pace, number, began):
             return
         # What was sent while this process stood still comes in a burst afterwards and is stale.
         if self._stood_still(began):

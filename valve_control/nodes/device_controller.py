@@ -42,9 +42,6 @@ class DeviceReadings:
             info = {"publication_sequence_number": self._number, "source_timestamp": time.time_ns()}
             yield reading.signal, info
 
-    def destroy(self) -> None:
-        """Do nothing: the device is not the subscription's."""
-
 
 class DeviceController(DeviceNode, Controller):
     """The controller with a device; it publishes `spool_position` and `valve_voltage` after each sample.
