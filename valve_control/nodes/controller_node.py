@@ -123,7 +123,7 @@ class Controller(Managed):
         self._params = params
         self._period = parameter.number(values, "sample_period")
         self._paced = parameter.number(values, "lvdt.period_limit") < rate.ANY
-        self._journal_topics.apply(parameter.number(values, "memory_period"))
+        self._journal_topics.period = parameter.number(values, "memory_period")
         self._in_lockstep = values["lockstep"] is True
         # Half a period more than the last reading that may still come in time.
         self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
@@ -307,7 +307,7 @@ class Controller(Managed):
         return elapsed
 
     def _publish(self, voltage: float) -> None:
-        self._rivals.gave()
+        self._rivals.given += 1
         self._send_voltage(encoded(voltage))
         self._published = time.time_ns()
 

@@ -68,11 +68,8 @@ class Settings(NamedTuple):
 
     folder: Path
     storage: str
-    compression: str
     patterns: Sequence[re.Pattern[str]]
     chosen: bool  # whether the patterns are the user's
-    flush_period: float  # s
-    min_free: float  # bytes
 
 
 def settings(values: Values) -> Settings:
@@ -91,15 +88,8 @@ def settings(values: Values) -> Settings:
         except re.error as error:
             raise ParameterError(f"topics has '{text}', which is no regular expression: {error}") from error
     bag = word(values, "bag")
-    return Settings(
-        folder=expanded(bag, "bag") if bag else unused(time.strftime("valve_bag_%Y%m%d_%H%M%S")),
-        storage=storage,
-        compression=compression,
-        patterns=patterns,
-        chosen=bool(chosen),
-        flush_period=parameter.number(values, "flush_period"),
-        min_free=parameter.number(values, "min_free") * MB,
-    )
+    folder = expanded(bag, "bag") if bag else unused(time.strftime("valve_bag_%Y%m%d_%H%M%S"))
+    return Settings(folder, storage, patterns, bool(chosen))
 
 
 def unused(name: str) -> Path:
@@ -197,8 +187,10 @@ class Recorder(Worker):
     def __init__(self) -> None:
         super().__init__("recorder")
         fixed = {parameter.name for parameter in RECORDER}
-        self._settings: Settings = ParameterSet(self, RECORDER, settings, fixed=fixed).built
-        use = self._settings
+        chosen = ParameterSet(self, RECORDER, settings, fixed=fixed)
+        use = self._settings = chosen.built
+        self._flush_period = parameter.number(chosen.values, "flush_period")
+        self._min_free = parameter.number(chosen.values, "min_free")  # MB
         self._topics: dict[str, Recorded] = {}
         self._left_out: set[str] = set()
         self._overlooked: dict[str, str] = {}  # what a controller takes and no pattern names → what is said
@@ -211,14 +203,14 @@ class Recorder(Worker):
         if reason := self._short_of_room(use.folder.absolute().parent):
             raise Failure(reason)
         try:
-            self._writer = BagWriter(use.folder, use.storage, compression=use.compression)
+            self._writer = BagWriter(use.folder, use.storage, compression=word(chosen.values, "compression"))
         except BagError as error:
             raise ParameterError(str(error)) from error
         self._captured = ParameterCapture(self, self._write_parameters)
         self._record(EVENTS, EVENT_TYPE, self.get_publishers_info_by_topic(EVENTS))
         now = time.monotonic()
         self._next = self._look_at = now
-        self._flush_at = now + use.flush_period
+        self._flush_at = now + self._flush_period
         self._status_at = now
         self.get_logger().info(f"records into {outputs.shown(use.folder)}")
 
@@ -241,7 +233,7 @@ class Recorder(Worker):
                 self._look()
             self._captured.collect()
             if now >= self._flush_at:
-                self._flush_at = now + self._settings.flush_period
+                self._flush_at = now + self._flush_period
                 self._writer.check_place()
                 self._writer.flush()
                 if reason := self._short_of_room(self._settings.folder):
@@ -285,11 +277,11 @@ class Recorder(Worker):
         while not folder.exists():
             folder = folder.parent
         free = shutil.disk_usage(folder).free
-        if free >= self._settings.min_free:
+        if free >= self._min_free * MB:
             return ""
         return (
             f"the recording ends: the disk of {folder} has {free / MB:.0f} MB free, "
-            f"less than min_free, {self._settings.min_free / MB:g} MB"
+            f"less than min_free, {self._min_free:g} MB"
         )
 
     def _fail(self, reason: str) -> NoReturn:
