@@ -507,17 +507,11 @@ def judge_cycles(p: Params, m: Memory, cycle: oscillation.State, high: float) ->
         return
     found = lock_in.found(p.lvdt.judge, m.probe)
     m.source = cycle_watch.source(cycle, found, high, m.judged.standing.grain)
-    tell_cycles(m, cycle, found)
+    latch(m, m.source, cycle_watch.text(m.source, cycle, found), max(LATCH, 2.0 * cycle.length))
     if p.answered and oscillation.amplitude(cycle) >= high and cycle_watch.lasts(cycle):
         report(m, "limit_cycle", cycle_watch.stop_text(m.source, cycle, found))
         m.pause = cycle_watch.paused(p.lvdt, m.pause, m.now)
         switch_off(p, m, "limit_cycle", False)
-
-
-@node_only
-def tell_cycles(m: Memory, cycle: oscillation.State, found: lock_in.LockInResult) -> None:
-    """Report ``cycle`` under the name of its source."""
-    latch(m, m.source, cycle_watch.text(m.source, cycle, found), max(LATCH, 2.0 * cycle.length))
 
 
 # Off and on again
