@@ -85,8 +85,7 @@ class DeviceController(DeviceNode, Controller):
         self._send_position = sender(self._positions)
 
     def _source(self, qos: QoSProfile) -> Any:
-        assert self._device is not None
-        self._from_device = DeviceReadings(self._device)
+        self._from_device = DeviceReadings(self.device)
         return self._from_device
 
     def begin(self) -> None:
@@ -98,8 +97,7 @@ class DeviceController(DeviceNode, Controller):
     def end(self) -> None:
         """Give 0 V and switch the output off."""
         super().end()
-        assert self._device is not None
-        self._device.enable(False)
+        self.device.enable(False)
         self._publish_signals()
 
     # Work
@@ -112,38 +110,33 @@ class DeviceController(DeviceNode, Controller):
         """Time [s] from which the device is asked for a reading, or there is something else to do."""
         if not self.working:
             return super().due()
-        assert self._device is not None
-        ready = max(self._ready_at, self._device.due())
+        ready = max(self._ready_at, self.device.due())
         return min(ready, super().due()) if self._begun else 0.0
 
     def fileno(self) -> int:
         """File of the device."""
-        listens = self.working and self._begun
-        return self._device.fileno() if listens and self._device is not None else -1
+        return self.device.fileno() if self.working and self._begun else -1
 
     def work(self) -> bool:
         """Answer a reading that has come."""
         if not self.working:
             return False
-        assert self._device is not None
         if not self._begun:
             self._begun = True
-            self._device.enable(True)
+            self.device.enable(True)
         before = self._supervisor.memory.samples
         self._asked_at = time.monotonic()
         super().work()
-        waits = not self._device.polled and self._supervisor.memory.samples != before
+        waits = not self.device.polled and self._supervisor.memory.samples != before
         self._ready_at = self._timing.arrivals[-1] + SERVING * self._period if waits else 0.0
         return True
 
     def _stood_still(self, now: float) -> bool:
         """Whether this process stood still; a wait for the device, in which time goes by too, is none."""
-        waited = self._device is not None and not self._device.polled
-        return super()._stood_still(self._asked_at if waited else now)
+        return super()._stood_still(now if self.device.polled else self._asked_at)
 
     def _publish(self, voltage: float) -> None:
-        assert self._device is not None
-        self._device.write(voltage)
+        self.device.write(voltage)
         self._published = time.time_ns()
         self._given.append(voltage)
 

@@ -109,9 +109,8 @@ class ValveDriver(DeviceNode):
         self._switch(False)
 
     def _switch(self, on: bool) -> None:
-        assert self._device is not None
         self._on = on
-        self._device.enable(on)
+        self.device.enable(on)
         self._voltage, self._fed, self._voltage_at = 0.0, False, -NEVER
 
     # Work
@@ -128,7 +127,6 @@ class ValveDriver(DeviceNode):
         """Give the voltage, wait for the next reading and publish it."""
         if not self.working:
             return False
-        assert self._device is not None
         if not self._begun:
             self._begun = True
             self._switch(self.device_values["enable"] is True)
@@ -137,7 +135,7 @@ class ValveDriver(DeviceNode):
                 self._answers.append(time.monotonic() - self._published)
         else:
             self._repeat()
-        reading = self._device.read()
+        reading = self.device.read()
         if reading is None:
             self._quiet += 1
             self._next = 0.0
@@ -156,7 +154,6 @@ class ValveDriver(DeviceNode):
 
     def _take_voltage(self) -> bool:
         """Give the newest voltage that has come; returns whether one has."""
-        assert self._device is not None
         waiting = [voltage for voltage, _ in self._voltages.take()]
         if not waiting:
             return False
@@ -166,17 +163,16 @@ class ValveDriver(DeviceNode):
             self._refused, self._refused_until = taken, time.monotonic() + 1.0
             taken = 0.0
         self._voltage, self._fed, self._voltage_at = taken, True, time.monotonic()
-        self._device.write(taken)
+        self.device.write(taken)
         return True
 
     def _repeat(self) -> None:
         """Give the last voltage again, which the card's own watchdog waits for; 0 V after this one's time."""
-        assert self._device is not None
         if self._fed and time.monotonic() - self._voltage_at > self._watchdog:
             self._fed = False
             self._voltage = 0.0
             self._counts["voltage_timeouts"] += 1
-        self._device.write(self._voltage)
+        self.device.write(self._voltage)
 
     def report(self) -> None:
         """Log and publish the conditions if they have changed."""
@@ -190,8 +186,7 @@ class ValveDriver(DeviceNode):
 
     def _conditions(self) -> tuple[Condition, ...]:
         """What is wrong now, worst first."""
-        assert self._device is not None
-        found = self._device.conditions()
+        found = self.device.conditions()
         own: list[Condition] = []
         if not self._on:
             own.append(
