@@ -331,23 +331,22 @@ class Diagnostics:
         if not getattr(self._node, "working", True):
             level, message = DiagnosticStatus.OK, "inactive" if self._node.configured else "unconfigured"
         stamp = self._node.get_clock().now().to_msg()
-        self._node.later(self._pieces(level, message, values, later, stamp))
 
-    def _pieces(
-        self, level: bytes, message: str, values: dict[str, Any], later: Sequence[Any], stamp: Any
-    ) -> Iterator[None]:
-        for part in later:
-            values |= part()
+        def pieces() -> Iterator[None]:
+            for part in later:
+                values.update(part())
+                yield
+            status = DiagnosticStatus(
+                level=level,
+                name=self._node.get_fully_qualified_name().lstrip("/"),
+                hardware_id=self._node.get_namespace(),
+                message=message,
+                values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+            )
+            array = DiagnosticArray(status=[status])
+            array.header.stamp = stamp
             yield
-        status = DiagnosticStatus(
-            level=level,
-            name=self._node.get_fully_qualified_name().lstrip("/"),
-            hardware_id=self._node.get_namespace(),
-            message=message,
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = stamp
-        yield
-        self.publisher.publish(array)
-        yield
+            self.publisher.publish(array)
+            yield
+
+        self._node.later(pieces())
