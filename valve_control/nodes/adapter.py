@@ -314,7 +314,8 @@ def acquainted(node: Node, publisher: Any, topic: str) -> bool:
 class Diagnostics:
     """Publishes what a node says of itself on /diagnostics, in pieces between two readings.
 
-    ``diagnose`` is called once a second. All at once it takes 5 to 12 ms of a virtual core whose caches have forgotten it since the last second.
+    ``diagnose`` is called once a second. All at once it takes 5 to 12 ms of a virtual core whose caches have
+    forgotten it since the last second.
     """
 
     def __init__(self, node: Any, diagnose: Callable[[], None] | None = None) -> None:

@@ -19,7 +19,7 @@ Numbered = tuple[Any, dict[str, Any]]  # reading [V], command [V] or point of a 
 
 
 class Lockstep:
-    """Holds the newest reading back until the command of its number, one of ``commands``, was given to ``use``.
+    """Holds the newest reading back until the command of its number, of ``commands``, was given to ``use``.
 
     A command source sends its first command at once and one more for each reading, so that command k is for
     reading k. ``acquainted``: whether who gives the readings will hear the voltages of ``node``.

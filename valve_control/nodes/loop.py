@@ -35,8 +35,8 @@ IDLE_CHORES = 0.01  # s  ... and while there are none; at most twice that
 CALM = 0.01  # s without a sample, after which services need not wait for the next
 SWITCH = 1e-4  # s after which another thread gives way to the loop
 STALL = 0.01  # s; the loop wakes on time unless its process stood still
-# Between two looks of the executor at a node that has only timers and polled subscriptions, while there are no
-# samples: a look takes 2 to 6 ms beside them, and only tells of another quality of service.
+# Between two looks of the executor at a node that has only timers and polled subscriptions, without samples:
+# a look takes 2 to 6 ms beside them, and only tells of another quality of service.
 EVENTS = 0.25  # s
 
 _stopped: list[int] = []  # signals that have come

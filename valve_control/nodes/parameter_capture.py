@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Asks other nodes for all their parameters, once each, and follows their changes: for recorder and dashboard."""
+"""Asks other nodes for all their parameters, once each, and follows their changes."""
 
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence

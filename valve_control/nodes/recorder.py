@@ -245,7 +245,7 @@ class Recorder(Worker):
         return taken
 
     def _take(self) -> bool:
-        """Write all waiting messages in the order of their arrival; a clock set back does not turn a topic's."""
+        """Write all waiting messages in the order of their arrival, each topic's in its own."""
         taken = [
             [
                 (info["received_timestamp"] or time.time_ns(), topic, data, info)

@@ -219,7 +219,8 @@ class ValveSimulator(Managed):
     def _complete(self) -> bool:
         """Whether all wanted listeners are there, among them a controller."""
         now = time.monotonic()
-        if not self.count_publishers("valve_voltage") or self._positions.get_subscription_count() < self._listeners:
+        heard = self._positions.get_subscription_count() >= self._listeners
+        if not (heard and self.count_publishers("valve_voltage")):
             self._complete_since = now
             return False
         return now - self._complete_since > MEET or acquainted(self, self._positions, "valve_voltage")
