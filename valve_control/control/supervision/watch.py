@@ -265,7 +265,8 @@ def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
     m.trust = m.trust._replace(sound=0)
     if m.trust.blocked == "" and m.law is not None:
         name = "stalled" if stalled else "lvdt_silent"
-        switch_off(p, m, name, has_leapt(m))
+        leapt = has_leapt(m)
+        switch_off(p, m, name, leapt)
         report(m, name, f"{lvdt.TEXTS[name]} for more than {p.lvdt.hold_samples} samples")
     return 0.0
 
