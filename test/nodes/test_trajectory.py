@@ -14,6 +14,7 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND
 from valve_control.parameter import defaults, updated
 
+
 def test_the_command_source_sends_trajectories_every_few_samples(ros, tmp_path):
     got = []
     ros.create_subscription(JointTrajectoryPoint, "spool_trajectory", got.append, 100)

@@ -33,7 +33,7 @@ def reported():
     for fault in READINGS:
         assert fault in lvdt.TEXTS
         yield from (fault, f"{fault}_bridged")
-    yield from (cycle_watch.HUM, cycle_watch.LIMIT_CYCLE)
+    yield from (cycle_watch.HUM, cycle_watch.LIMIT_CYCLE, "stalled")
     yield from (one.condition for one in watch_table.REPORTING)
     yield from (name for _, name in OBSERVED.values())
 
