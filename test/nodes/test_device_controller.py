@@ -44,7 +44,7 @@ def simulated(plant):
 
 @pytest.mark.parametrize("law", ["arc", "dcarc"])
 def test_the_bits_are_those_of_offline(ros, law):
-    """The commands come one before each reading; without noise, since the reading before the start is dropped."""
+    """One command before each reading; without noise, since the reading before the start is dropped."""
     settings = {
         "controller": law, "lvdt.frozen_samples": 0, "lvdt.period_limit": 1000.0, "lvdt.hold_samples": 500,
     }  # fmt: skip
