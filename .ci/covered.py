@@ -31,7 +31,7 @@ CORE = (
     *(f"valve_control/control/{room}/*.py" for room in ("supervision", "laws", "drivers")),
     *("valve_control/axis/axis_supervisor.py", "valve_control/axis/axis_watch.py"),
     *("valve_control/nodes/controller*.py", "valve_control/nodes/device_controller.py"),
-    *(f"valve_control/nodes/{name}.py" for name in ("adapter", "lifecycle", "loop", "pairing", "services")),
+    *(f"valve_control/nodes/{name}.py" for name in ("adapter", "lifecycle", "loop", "services")),
     *(f"valve_control/nodes/{name}.py" for name in ("device_node", "lockstep", "right_of_way", "telemetry")),
     *(f"valve_control/nodes/{name}.py" for name in ("rclpy_internals", "realtime", "timing", "transport")),
     *("valve_control/nodes/valve_driver.py", "valve_control/parameter.py"),
@@ -51,8 +51,8 @@ CONTROLLER = (
     *("restart", "terms", "trajectory", "unnumbered"),
 )
 DEVICES = (
-    *("axis", "device_controller", "exit", "fieldbus", "pairing", "rclpy_internals", "services"),
-    *("transport", "valve_driver"),
+    *("axis", "device_controller", "exit", "fieldbus", "rclpy_internals", "services", "transport"),
+    "valve_driver",
 )
 # Statistics over many valves take minutes and run nothing that other tests do not.
 LONG = "study_s_box or beyond_the_spread or weights_were_made_for or jitter_is_the_speed or drifts_by_3"

@@ -90,7 +90,6 @@ MEANINGS = {
     "goal_position": "target position of the axis [m]; velocity, acceleration and jerk are limited",
     "axis_goal": "reference of the axis at this reading: position [m], velocity [m/s], acceleration [m/s²]",
     "~/stop": "0 V until `~/reset`, and no voltage from the valve's controller",
-    "~/enable": "switch the output of a real valve's amplifier on or off, as the parameter `enable` does",
     "~/load_parameters": "apply `load_file` as one change, or refuse it as a whole",
 }
 ANY = {
@@ -143,9 +142,8 @@ def _entity(node: str, call: ast.AST) -> Entity | None:
     elif function == "NumberSubscription":
         kind, type_name = "takes", ast.Name("Float64")
         _, name, last = arguments
-    elif function == "PointSubscription":
-        kind, type_name = "takes", ast.Name("JointTrajectoryPoint")
-        _, name, last = arguments
+    elif function == "Diagnostics":
+        return Entity(node, "publishes", "/diagnostics", "DiagnosticArray", QOS["SAMPLES"])
     elif function == "PolledSubscription":
         kind = "takes"
         _, type_name, name, last = arguments

@@ -113,7 +113,8 @@ NOISE = {"lvdt.noise": 0.0056, "lvdt.resolution": 0.0037}
 class Fault(NamedTuple):
     """One fault: who injects it, how long it lasts, and what must follow.
 
-    ``node`` is others for what a stranger on the graph does, which lasts as long as it takes him.
+    ``node`` is others for what a stranger on the graph does, which lasts as long as it takes him; a rival
+    publishes on the topic ``parameter``.
     """
 
     name: str
@@ -156,14 +157,14 @@ FAULTS = (
           2.0 / FREQUENCY + FLIPPED, FORWARD),
     Fault("lvdt_half", "valve_simulator", "fault.lvdt", "half", 1500, "safe", "gain about 0.5",
           SILENT, CONTROLLERS),
-    Fault("lvdt_publishers", "valve_simulator", "fault.lvdt", "second_publisher", 700, "reported",
+    Fault("lvdt_publishers", "others", "spool_position", "rival", 700, "reported",
           "publishers on spool_position", 0.5 + ALLOWANCE, CONTROLLERS),
     Fault("lvdt_slow", "valve_simulator", "sample_period", "slow", 2000, "safe", "LVDT readings come every",
           OTHER_PERIOD, CONTROLLERS),
     Fault("lvdt_fast", "valve_simulator", "sample_period", "fast", 2000, "safe", "LVDT readings come every",
           OTHER_PERIOD, CONTROLLERS),
-    Fault("voltage_publishers", "others", "", "rival", 700, "reported", "publishers on valve_voltage",
-          0.5 + ALLOWANCE, CONTROLLERS),
+    Fault("voltage_publishers", "others", "valve_voltage", "rival", 700, "reported",
+          "publishers on valve_voltage", 0.5 + ALLOWANCE, CONTROLLERS),
     Fault("leaving_clients", "others", "", "leave", 0, "undisturbed", "", SILENT, CONTROLLERS),
     Fault("parameter_storm", "others", "", "storm", 0, "undisturbed", "", SILENT, CONTROLLERS),
     Fault("joiners", "others", "", "join", 0, "undisturbed", "", SILENT, CONTROLLERS),
@@ -174,7 +175,7 @@ FAULTS = (
     Fault("command_out_of_range", "command_source", "fault.command", "out_of_range", 50, "reported",
           "limited",
           REPORT, CONTROLLERS),
-    Fault("command_publishers", "command_source", "fault.command", "second_publisher", 700, "reported",
+    Fault("command_publishers", "others", "spool_command", "rival", 700, "reported",
           "publishers on spool_command", 0.5 + ALLOWANCE, CONTROLLERS),
     Fault("spool_stuck", "valve_simulator", "fault.valve", "stuck", 1500, "safe", "does not follow",
           1.0 / FREQUENCY + REPORT, FEEDBACK),
@@ -229,7 +230,7 @@ class Campaign:
                 self.go_on(fault.samples * PERIOD)
                 self.children["controller"].send_signal(signal.SIGCONT)
             elif fault.value == "rival":
-                others.enter_context(strangers.rival(self.listener))
+                others.enter_context(strangers.rival(self.listener, fault.parameter))
             elif fault.value == "join":
                 log = folder / f"faults_{self.controller}_{fault.name}.log"
                 crew = others.enter_context(crowd(JOINERS, log))

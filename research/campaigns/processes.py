@@ -20,24 +20,24 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from tqdm import tqdm
+from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control import interrupts
 from valve_control.arrays import Floats
+from valve_control.axis.path import nanoseconds
 from valve_control.axis.tables import ROS_NODES
 from valve_control.control.parameters import files, ros_file
 from valve_control.control.parameters.arguments import matches
 from valve_control.nodes.adapter import (
     EVERYTHING,
     NumberSubscription,
-    PointSubscription,
-    TrajectoryPoint,
+    PolledSubscription,
     number_of,
 )
 from valve_control.nodes.transport import (
     ANYWHERE,
     RANGE,
     THIS_HOST,
-    check_log_folder,
     profile_variable,
     use_own_profile,
 )
@@ -116,7 +116,7 @@ class Listener(Node):
 
     def __init__(self, name: str, topics: Sequence[str] = TOPICS) -> None:
         super().__init__(name)
-        self._topics: dict[str, NumberSubscription | PointSubscription] = {}
+        self._topics: dict[str, PolledSubscription] = {}
         self._points: dict[str, list[int]] = {}  # topic of a trajectory → times [ns] of its points
         self.values: dict[str, array[float]] = {}
         self.stamps: dict[str, array[int]] = {}
@@ -131,7 +131,7 @@ class Listener(Node):
         self.sequence[topic] = array("q")
         if topic.endswith("spool_trajectory"):
             self._points[topic] = []
-            self._topics[topic] = PointSubscription(self, topic, EVERYTHING)
+            self._topics[topic] = PolledSubscription(self, JointTrajectoryPoint, topic, EVERYTHING)
         else:
             self._topics[topic] = NumberSubscription(self, topic, EVERYTHING)
 
@@ -139,9 +139,9 @@ class Listener(Node):
         """Take what has arrived since the last call."""
         for topic, subscription in self._topics.items():
             for value, info in subscription.take():
-                if isinstance(value, TrajectoryPoint):
-                    self._points[topic].append(value.time)
-                self.values[topic].append(value.positions[0] if isinstance(value, TrajectoryPoint) else value)
+                if topic in self._points:
+                    self._points[topic].append(nanoseconds(value.time_from_start))
+                self.values[topic].append(value.positions[0] if topic in self._points else value)
                 self.stamps[topic].append(info["source_timestamp"])
                 self.sequence[topic].append(number_of(info))
 
@@ -209,7 +209,6 @@ def run_tool(name: str, folder: Path, work: Callable[[], int]) -> int:
 
     interrupts.watch(signal.SIGINT, signal.SIGTERM)
     try:
-        check_log_folder(os.environ)
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         status = work()
     except BaseException as error:

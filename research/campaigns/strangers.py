@@ -122,9 +122,9 @@ def stranger(call: str, log: Path) -> Iterator[Stranger]:
 
 
 @contextmanager
-def rival(node: Any) -> Iterator[None]:
-    """Publish on the valve's voltage from a second node, as another controller would."""
-    publisher = node.create_publisher(Float64, "valve_voltage", SAMPLES)
+def rival(node: Any, topic: str) -> Iterator[None]:
+    """Publish numbers on ``topic`` from a second node, as another controller would its voltages."""
+    publisher = node.create_publisher(Float64, topic, SAMPLES)
     try:
         yield
     finally:

@@ -14,8 +14,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from valve_control.nodes.adapter import (
     SAMPLES,
     NumberSubscription,
-    PointSubscription,
-    decoded_point,
+    PolledSubscription,
     encoded,
     encoded_point,
     head,
@@ -53,14 +52,15 @@ def test_numbers_after_the_head_of_an_array_are_what_rclpy_reads(labels):
 
 
 def test_what_is_no_point_is_passed_over(ros):
-    whole = encoded_point(0.5, 0.0, 0.0)
-    assert all(decoded_point(whole[:size]) is None for size in range(len(whole)))
-    assert decoded_point(whole[:4] + b"\xff\xff\xff\x7f" + whole[8:]) is None, "2147483647 positions"
-    points = PointSubscription(ros, "point", SAMPLES)
+    whole = encoded_point(0.5, 1.0, 2.0, 3 * 10**9 + 4)
+    many = whole[:4] + b"\xff\xff\xff\x7f" + whole[8:]  # 2147483647 positions
+    points = PolledSubscription(ros, JointTrajectoryPoint, "point", SAMPLES)
     publisher = ros.create_publisher(JointTrajectoryPoint, "point", SAMPLES)
     spin_until(ros, lambda: publisher.get_subscription_count() == 1, "match")
-    for data in (whole[:20], whole):
+    for data in (whole[:20], many, whole):
         publisher.publish(data)
     found = []
     spin_until(ros, lambda: found.extend(points.take()) or found, "the point")
-    assert [point.positions for point, _ in found] == [(0.5,)]
+    ((point, _),) = found
+    assert [*point.positions, *point.velocities, *point.accelerations] == [0.5, 1.0, 2.0]
+    assert (point.time_from_start.sec, point.time_from_start.nanosec) == (3, 4)

@@ -107,16 +107,11 @@ def test_from_the_first_reading_to_the_last_word(ros):
         assert node._state_machine.current_state[1] == "finalized"
 
 
-def test_a_reading_is_prepared_for_and_silence_is_answered_again_and_again(ros, monkeypatch):
+def test_silence_is_answered_again_and_again(ros, monkeypatch):
     with controller(ros) as upper:
         node = upper.node
         upper.sample(0.0)
         monkeypatch.setattr(controller_node, "REMIND", 0.0)
-        rehearsed = []
-        monkeypatch.setattr(node._supervisor, "rehearse", lambda: rehearsed.append(True))
-        node._watch_at = math.inf
-        upper.until(lambda: rehearsed, "warm caches")
-        assert node._warm_at == math.inf
         node._watch_at = 0.0
         assert node.work() and node._supervisor.mode is Mode.SAFE
         node.report()
@@ -189,29 +184,22 @@ def test_an_upper_level_or_a_trajectory_that_leaves_is_known(ros):
         node._watch_graph()
 
 
-def test_in_lockstep_a_reading_waits_for_its_command(ros, monkeypatch):
+def test_in_lockstep_a_reading_waits_for_its_command(ros, monkeypatch, capfd):
     with controller(ros, "lockstep:=true", "controller:=open_loop") as upper:
         node = upper.node
+        monkeypatch.setattr(lockstep, "REMIND", 0.0)
         upper.lvdt.publish(encoded(0.0))
-        upper.until(lambda: node._lockstep.waiting is not None and node._lockstep.met, "the reading")
+        upper.until(lambda: node._lockstep.waiting and node.inputs() != (), "the reading")
         assert not node.work() and node.inputs() == (node._commands, node._trajectories)
-        assert node.due() <= time.monotonic() + lockstep.LOOK
-        assert upper.sample(0.0, 1.0) > 0.0
-        monkeypatch.setattr(lockstep, "COMMANDED", {False: 0.02, True: 0.05})
-        assert upper.sample(0.0) > 0.0 and node._lockstep.uncommanded, "no command comes: it goes on"
-        upper.sample(0.0)
-        upper.commands.publish(encoded(-1.0))
-        upper.until(lambda: upper.sample(0.0) < 0.0, "in step again")
-        assert not node._lockstep.uncommanded
-        points = ros.create_publisher(JointTrajectoryPoint, "spool_trajectory", SAMPLES)
-        upper.until(lambda: points.get_subscription_count() >= 1, "the subscription")
-        points.publish(encoded_point(0.5, 0.0, 0.0, 10**9))
-        upper.until(lambda: upper.sample(0.0) > 0.0, "the point of a trajectory")
+        assert node.due() <= time.monotonic() + lockstep.LOOK and not node._timing.arrivals
+        assert "lockstep: reading 1 waits for its command" in capfd.readouterr().err
+        for number, wanted in enumerate((1.0, -1.0), start=1):
+            upper.commands.publish(encoded(wanted))
+            upper.until(lambda number=number: len(node._timing.arrivals) == number, "the answer")
+            assert node._supervisor.voltage * wanted > 0.0
+            upper.lvdt.publish(encoded(0.0))
         result = node.set_parameters_atomically([rclpy.parameter.Parameter("lockstep", value=False)])
-        assert result.successful and node._lockstep is None
-        assert node.due() < time.monotonic() + 1.0, "a silence that began in lockstep is noticed"
-        upper.meet()
-        assert math.isfinite(upper.sample(0.0))
+        assert not result.successful and "lockstep of a running node does not change" in result.reason
 
 
 def test_lockstep_without_numbers_ends_in_one_sentence(ros):

@@ -200,7 +200,7 @@ def test_a_node_that_fails_at_its_end_does_not_keep_the_others_from_their_last_v
     heard = []
     ros.create_subscription(Float64, "valve_voltage", lambda m: heard.append(m.data), 10)
     failing = Failing("failing")
-    valve = Controller(single=False, alone=False)
+    valve = Controller(alone=False)
     try:
         spin_until(ros, lambda: valve._voltages.get_subscription_count() == 1, "the subscription")
         assert not loop._finished([failing, valve])

@@ -26,7 +26,6 @@ from std_msgs.msg import Float64, String
 
 from research.campaigns.processes import process
 from valve_control.nodes.definitions import Definitions
-from valve_control.nodes.recorder import Recorded, merged
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.recover import recover
@@ -387,22 +386,3 @@ def test_definitions_come_from_the_installed_packages():
     got = Definitions().get("nav_msgs/msg/Goals")
     assert "geometry_msgs/PoseStamped[] goals" in got.text and "MSG: geometry_msgs/Quaternion" in got.text
     assert got.type_hash.startswith("RIHS01_")
-
-
-@pytest.mark.parametrize("back", [0, 5_000_000, 20_000_000, 10**12])
-def test_a_clock_that_is_set_back_makes_no_losses(back):
-    """Two topics at 1 kHz wait in one batch while the clock is set back by ``back`` [ns]: nothing is lost."""
-    topics = [Recorded(None, name, "std_msgs/msg/Float64", None) for name in ("/a", "/b")]
-    queues = [
-        [(10**15 + k * 10**6 + late - back * (k >= 30), topic, k + 1) for k in range(60)]
-        for late, topic in enumerate(topics)
-    ]
-    for topic in topics:
-        topic.look({b"one"})
-    for _, topic, number in merged(queues):
-        topic.count(number)
-    for topic in topics:
-        topic.look({b"one"})
-    assert [topic.lost for topic in topics] == [0, 0]
-    if back == 0:
-        assert [entry[0] for entry in merged(queues)] == sorted(e[0] for q in queues for e in q)

@@ -18,6 +18,7 @@ PARAMETERS = (  # node, its parameters, words of the sentence, exit status if it
     ("controller", ["realtime.cpus:='777'"], "realtime.cpus names CPU 777"),
     ("controller", ["driver:=serial", "serial.port:=/dev/no_such_port"],
      "valve_control: the port /dev/no_such_port cannot be opened"),
+    ("controller", ["driver:=simulated", "lockstep:=true"], "a device keeps its own time"),
     ("valve_simulator", ["valve:=servo"], "'servo'"),
     ("command_source", ["scenario:=zigzag"], "'zigzag'"),
     ("valve_driver", ["serial.port:=/dev/no_such_port"],

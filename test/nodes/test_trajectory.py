@@ -7,33 +7,12 @@ import math
 import numpy as np
 import pytest
 from bench import spin_until
-from hypothesis import given
-from hypothesis import strategies as st
-from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from research.campaigns.processes import process
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND
-from valve_control.nodes.adapter import decoded_point
 from valve_control.parameter import defaults, updated
-
-NUMBERS = st.lists(st.floats(-1e6, 1e6), max_size=4)
-
-
-@given(NUMBERS, NUMBERS, NUMBERS, NUMBERS, st.integers(0, 10**6), st.integers(0, 10**9 - 1))
-def test_points_are_read_as_ros_writes_them(positions, velocities, accelerations, effort, sec, nanosec):
-    message = JointTrajectoryPoint(
-        positions=positions, velocities=velocities, accelerations=accelerations, effort=effort
-    )
-    message.time_from_start.sec, message.time_from_start.nanosec = sec, nanosec
-    data = serialize_message(message)
-    point = decoded_point(data)
-    assert [list(part) for part in point[:3]] == [positions, velocities, accelerations]
-    assert point.time == sec * 10**9 + nanosec
-    for length in range(len(data)):  # what is cut off may be padding
-        assert decoded_point(data[:length]) in (None, point)
-    assert decoded_point(data[:19]) is None
 
 
 def test_the_command_source_sends_trajectories_every_few_samples(ros, tmp_path):

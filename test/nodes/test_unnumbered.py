@@ -25,7 +25,7 @@ def unnumbered(take):
         return taken
     return one
 
-for kind in (adapter.PolledSubscription, adapter.NumberSubscription, adapter.PointSubscription):
+for kind in (adapter.PolledSubscription, adapter.NumberSubscription):
     kind.one = unnumbered(kind.one)
 from valve_control.nodes.{} import main
 sys.exit(main())

@@ -12,10 +12,9 @@ from contextlib import contextmanager
 
 import pytest
 import rclpy
-from bench import LIMIT, call, controller, process, set_parameters, spin_until
+from bench import LIMIT, controller, process, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Float64
-from std_srvs.srv import SetBool
 
 sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "drivers"))
 from examples import serial_card
@@ -154,13 +153,12 @@ def test_the_output_follows_enable_and_an_open_device_keeps_its_scales(ros, tmp_
         voltage.publish(Float64(data=math.nan))
         run(ros, card, lambda: card.voltage == 0.0, "0 V for NaN")
         run(ros, card, lambda: "voltage_not_finite" in told.seen, "condition")
-        answer = call(ros, SetBool, "/valve_driver/enable", SetBool.Request(data=False))
-        assert (answer.success, answer.message) == (True, "output off")
+        assert set_parameters(ros, "valve_driver", enable=False).successful
         run(ros, card, lambda: not card._asked, "output off")
         voltage.publish(Float64(data=3.0))
         run(ros, card, lambda: "disabled" in told.seen, "condition")
         assert not card._asked and card.voltage == 0.0
-        assert call(ros, SetBool, "/valve_driver/enable", SetBool.Request(data=True)).success
+        assert set_parameters(ros, "valve_driver", enable=True).successful
         run(ros, card, driven(3.0), "3 V again")
 
 

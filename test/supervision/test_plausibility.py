@@ -164,7 +164,7 @@ def test_readings_that_jump_back_along_their_course_may_be_late(leap, text):
     p, s = lvdt.Params(11.0, 500.0, 0.1, 0, 0.5, 0.001, 0.0, 0.0, 0.0, 0.0), lvdt.NOTHING
     for k in range(220):
         fault, s = lvdt.step(p, s, 0.03 * k + (leap if k >= 200 else 0.0), 0, 0.0, False, 0.001)
-        assert (fault == "jump") == (k >= 200)
+        assert (fault == "lvdt_jump") == (k >= 200)
     assert lvdt.lateness(s) == text
 
 

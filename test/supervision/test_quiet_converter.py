@@ -90,7 +90,7 @@ def test_scatter_tells_noise_from_rounding(noise, noisy):
         assert (np.median(shares[1000:]) > lvdt.NOISY) == noisy, (speed, np.median(shares[1000:]))
 
 
-@pytest.mark.parametrize(("speed", "fault"), [(8.0, lvdt.SOUND), (41.0, "frozen")])
+@pytest.mark.parametrize(("speed", "fault"), [(8.0, lvdt.SOUND), (41.0, "lvdt_frozen")])
 def test_a_spool_may_stop_within_the_distance_that_friction_needs(speed, fault):
     """v²/(2·b0·D) is 4 mV at 8 V/s, within three steps of 5 mV, and 112 mV at 41 V/s."""
     p = lvdt.Params(11.0, 500.0, 0.1, 20, 0.5, PERIOD, 58.0, 1657.0, 1502.0, 5.0)
@@ -122,4 +122,4 @@ def test_a_noisy_lvdt_that_stands_is_frozen_once_the_voltage_moves_again(off, fi
     noise = np.random.default_rng(3).normal(0.0, 0.05, 200)
     before = [*((float(x), 0.0, False) for x in noise), *((0.0, 0.3 * k, False) for k in range(10))]
     said = judged(0.0, [*before, *[(0.0, 0.0, True)] * off, *[(0.0, 3.0, False)] * 40])
-    assert said.index("frozen") == len(before) + off + first
+    assert said.index("lvdt_frozen") == len(before) + off + first

@@ -468,7 +468,7 @@ def test_random_parameter_sets_and_messages(sets):
 )
 @settings(max_examples=60, deadline=None)
 def test_voltage_is_given_once_and_is_the_one_returned(law, readings, lost):
-    """Whatever the readings are: refused, bridged, taken over; a rehearsal between two changes nothing."""
+    """Whatever the readings are: refused, bridged, taken over."""
     values = updated(CONTROLLER, defaults(CONTROLLER), {"controller": law, "lvdt.recovery_samples": 3})
     giving, plain = Supervisor(), Supervisor()
     for supervisor in (giving, plain):
@@ -480,7 +480,6 @@ def test_voltage_is_given_once_and_is_the_one_returned(law, readings, lost):
         voltage = giving.sample(reading, number, PERIOD, given_voltages.append)
         assert given_voltages == [voltage]
         assert voltage == plain.sample(reading, number, PERIOD)
-        giving.rehearse()
     assert giving.telemetry() == pytest.approx(plain.telemetry(), nan_ok=True, abs=0.0)
     assert giving.conditions == plain.conditions and giving.memory.counts == plain.memory.counts
 

@@ -17,16 +17,8 @@ from valve_control.export.kinds import Kind
 
 KINDS = sorted({fault.what for fault in samples.FAULTS})
 WORDS = dict.fromkeys(
-    ["", "not_finite", "out_of_range", "jump", "frozen", "lvdt_not_finite", "lvdt_out_of_range", "lvdt_jump"]
-    + [
-        "lvdt_frozen",
-        "lvdt_silent",
-        "lvdt_disagrees",
-        "law_not_finite",
-        "limit_cycle",
-        "oscillation",
-        "lvdt_hum",
-    ]
+    ["", "lvdt_not_finite", "lvdt_out_of_range", "lvdt_jump", "lvdt_frozen", "lvdt_silent", "lvdt_disagrees"]
+    + ["law_not_finite", "limit_cycle", "oscillation", "lvdt_hum"]
 )
 WORDS = {word: i for i, word in enumerate(WORDS)}
 

@@ -6,13 +6,13 @@ import ast
 import re
 from pathlib import Path
 
-from valve_control.control.supervision import cycle_watch, lvdt, watch, watch_table
+from valve_control.control.supervision import cycle_watch, lvdt, watch_table
 from valve_control.control.supervision.journal import OBSERVED
 
 ROOT = Path(__file__).resolve().parents[2]
 SUPERVISION = ROOT / "valve_control" / "control" / "supervision"
 MODES = ROOT / "docs" / "reference" / "modes.md"
-READINGS = ("not_finite", "out_of_range", "jump", "frozen")
+READINGS = ("lvdt_not_finite", "lvdt_out_of_range", "lvdt_jump", "lvdt_frozen")
 
 
 def described():
@@ -32,8 +32,8 @@ def reported():
                     yield str(call.args[1].value)
     for fault in READINGS:
         assert fault in lvdt.TEXTS
-        yield from (watch.condition_of(fault), f"{watch.condition_of(fault)}_bridged")
-    yield from (cycle_watch.HUM, cycle_watch.LIMIT_CYCLE)
+        yield from (fault, f"{fault}_bridged")
+    yield from (cycle_watch.HUM, cycle_watch.LIMIT_CYCLE, "stalled")
     yield from (one.condition for one in watch_table.REPORTING)
     yield from (name for _, name in OBSERVED.values())
 

@@ -5,9 +5,8 @@
 import contextlib
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from struct import error as StructError
 from struct import pack, unpack_from
-from typing import Any, NamedTuple
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import (
@@ -16,6 +15,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import (
     InvalidParameterTypeException,
     InvalidParameterValueException,
@@ -24,14 +24,14 @@ from rclpy.exceptions import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Float64, Float64MultiArray
-from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control import outputs
 from valve_control.control.parameters import arguments
 from valve_control.control.parameters.ros_file import from_text
+from valve_control.nodes import realtime
 from valve_control.nodes.rclpy_internals import override
 from valve_control.nodes.services import Unwatched
 from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, missing, updated
@@ -39,7 +39,6 @@ from valve_control.parameter import Parameter, ParameterError, Table, Value, Val
 PROCESS = 12  # bytes of an endpoint's address in DDS that all endpoints of a process have in common
 UNNUMBERED = 2**64 - 1  # in rmw's message info, of a middleware that numbers no messages, such as Cyclone DDS
 UNKNOWN = "this middleware numbers no messages: losses are unknown"
-HEAD = 4  # bytes before a message's body
 ENCODED = 12  # bytes of a Float64: four of head, of which the second is odd for little endian
 SAMPLES = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # For who has no use for a late one: no acknowledgements, no waiting for what is lost, any publisher matches.
@@ -129,7 +128,7 @@ class ParameterSet:
     ``build`` makes the node's immutable parameters from all values or raises ParameterError; ``apply``
     takes them into use. Both run between two samples, since the node has one thread. ``alone``: whether the
     process has no other node; otherwise its maker calls ``admit`` for all of them. ``fixed``: parameters that
-    do not change while the node runs.
+    do not change while the node runs. Parameters of the scheduler, if the table has them, need nothing else.
     """
 
     def __init__(
@@ -148,13 +147,25 @@ class ParameterSet:
         self._build = build
         self._apply = apply
         self._fixed = fixed
+        self._realtime = realtime.UNCHANGED
         self.values = updated(table, {}, {parameter.name: _declared(node, parameter) for parameter in table})
-        self.built = build(self.values)
-        self._prepared = (self.values, self.built)
-        apply(self.values, self.built)
+        self._prepared = (self.values, self._made(self.values))
+        self._take()
         node.add_pre_set_parameters_callback(self._known)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._use)
+
+    def _made(self, values: Values) -> Any:
+        realtime.request(values)
+        return self._build(values)
+
+    def _take(self) -> None:
+        self.values, self.built = self._prepared
+        self._apply(self.values, self.built)
+        wanted = realtime.request(self.values)
+        if wanted != self._realtime:
+            self._realtime = wanted
+            realtime.obtain(wanted, self._node.get_logger().warning)
 
     def _known(self, parameters: list[Any]) -> list[Any]:
         unknown = [p.name for p in parameters if not self._node.has_parameter(p.name)]
@@ -176,7 +187,7 @@ class ParameterSet:
             for name in self._fixed:
                 if changes[name] != self.values[name]:
                     raise ParameterError(f"{name} of a running node does not change; start it again")
-            self._prepared = (changes, self._build(changes))
+            self._prepared = (changes, self._made(changes))
         except ParameterError as error:
             reason = outputs.printable(str(error))
             self._node.get_logger().warning(f"parameters not changed: {reason}")
@@ -187,10 +198,9 @@ class ParameterSet:
         values = self._changes(parameters)
         # Building costs a good part of a period: what the check built is used if it is of these values.
         if self._prepared[0] != values:
-            self._prepared = (values, self._build(values))
+            self._prepared = (values, self._made(values))
         if values != self.values:
-            self.values, self.built = self._prepared
-            self._apply(self.values, self.built)
+            self._take()
 
 
 def number_of(info: Mapping[str, Any]) -> int:
@@ -212,24 +222,28 @@ class PolledSubscription:
     """Subscription without callback: messages wait until the node asks for them.
 
     A command that arrives between two LVDT samples is of no use before the next one, and a wake-up of
-    the executor costs more than the whole control law.
+    the executor costs more than the whole control law. Bytes that are no message are passed over.
     """
 
     def __init__(self, node: Node, message_type: Any, topic: str, qos: QoSProfile, raw: bool = False) -> None:
         self._node = node
         self._type = message_type
-        self._raw = raw  # messages as the bytes that came
+        self._raw = raw  # whether messages stay the bytes that came
         self._depth = qos.depth
         self._subscription = node.create_subscription(
-            message_type, topic, lambda message: None, qos, callback_group=Unwatched(), raw=raw
+            message_type, topic, lambda message: None, qos, callback_group=Unwatched(), raw=True
         )
-
         self.handle = self._subscription.handle
 
     def one(self) -> tuple[Any, dict[str, Any]] | None:
         """The oldest waiting message with its message info, None if there is none."""
-        with self.handle:
-            return self.handle.take_message(self._type, self._raw)  # type: ignore[no-any-return]
+        while True:
+            with self.handle:
+                taken: tuple[Any, dict[str, Any]] | None = self.handle.take_message(self._type, True)
+            if taken is None or self._raw:
+                return taken
+            with contextlib.suppress(Exception):  # rclpy has no public type for bytes that are no message
+                return deserialize_message(taken[0], self._type), taken[1]
 
     def take(self) -> Iterator[tuple[Any, dict[str, Any]]]:
         """Waiting messages, oldest first, each with its message info; at most as many as can wait at once.
@@ -256,60 +270,12 @@ class NumberSubscription(PolledSubscription):
 
     def one(self) -> tuple[float, dict[str, Any]] | None:
         """The oldest waiting number with its message info, None if there is none."""
-        while True:
-            with self.handle:
-                taken = self.handle.take_message(Float64, True)
-            if taken is None:
-                return None
+        while taken := super().one():
             data, info = taken
             if len(data) >= ENCODED:
                 form = "<d" if data[1] & 1 else ">d"
                 return unpack_from(form, data, ENCODED - 8)[0], info
-
-
-class TrajectoryPoint(NamedTuple):
-    """A trajectory_msgs/JointTrajectoryPoint as far as it is used."""
-
-    positions: tuple[float, ...]  # V
-    velocities: tuple[float, ...]  # V/s
-    accelerations: tuple[float, ...]  # V/s²
-    time: int  # ns  time_from_start
-
-
-class PointSubscription(PolledSubscription):
-    """Points of a trajectory; what cannot be read as one is passed over."""
-
-    def __init__(self, node: Node, topic: str, qos: QoSProfile) -> None:
-        super().__init__(node, JointTrajectoryPoint, topic, qos, raw=True)
-
-    def one(self) -> tuple[TrajectoryPoint, dict[str, Any]] | None:
-        """The oldest waiting point with its message info, None if there is none."""
-        while (taken := super().one()) is not None:
-            if (point := decoded_point(taken[0])) is not None:
-                return point, taken[1]
         return None
-
-
-def decoded_point(data: bytes) -> TrajectoryPoint | None:
-    """A JointTrajectoryPoint as it travels (CDR), None if it is none."""
-    if len(data) < HEAD:
-        return None
-    order, body, at = "<" if data[1] & 1 else ">", data[HEAD:], 0
-    parts: list[tuple[float, ...]] = []
-    try:
-        for _ in range(4):
-            at += -at % 4
-            (count,) = unpack_from(f"{order}I", body, at)
-            at += 4
-            at += -at % 8 if count else 0
-            if count * 8 > len(body) - at:
-                return None
-            parts.append(unpack_from(f"{order}{count}d", body, at))
-            at += 8 * count
-        seconds, nanoseconds = unpack_from(f"{order}iI", body, at)
-    except StructError:
-        return None
-    return TrajectoryPoint(parts[0], parts[1], parts[2], seconds * 10**9 + nanoseconds)
 
 
 def encoded_point(position: float, velocity: float, acceleration: float, time: int = 0) -> bytes:
@@ -348,33 +314,40 @@ def acquainted(node: Node, publisher: Any, topic: str) -> bool:
 class Diagnostics:
     """Publishes what a node says of itself on /diagnostics, in pieces between two readings.
 
-    All at once it takes 5 to 12 ms of a virtual core whose caches have forgotten it since the last second.
+    ``diagnose`` is called once a second. All at once it takes 5 to 12 ms of a virtual core whose caches have
+    forgotten it since the last second.
     """
 
-    def __init__(self, node: Any, publisher: Any) -> None:
+    def __init__(self, node: Any, diagnose: Callable[[], None] | None = None) -> None:
         self._node = node
-        self.publisher = publisher
+        self.publisher = node.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES)
+        if diagnose is not None:
+            node.create_timer(1.0, diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def tell(self, level: bytes, message: str, values: dict[str, Any], *later: Callable[[], Any]) -> None:
-        """Publish a status with ``values`` and those of each of ``later``, which is a piece of its own."""
-        stamp = self._node.get_clock().now().to_msg()
-        self._node.later(self._pieces(level, message, values, later, stamp))
+        """Publish a status with ``values`` and those of each of ``later``, which is a piece of its own.
 
-    def _pieces(
-        self, level: bytes, message: str, values: dict[str, Any], later: Sequence[Any], stamp: Any
-    ) -> Iterator[None]:
-        for part in later:
-            values |= part()
+        A managed node that does not work says that instead of ``level`` and ``message``.
+        """
+        if not getattr(self._node, "working", True):
+            level, message = DiagnosticStatus.OK, "inactive" if self._node.configured else "unconfigured"
+        stamp = self._node.get_clock().now().to_msg()
+
+        def pieces() -> Iterator[None]:
+            for part in later:
+                values.update(part())
+                yield
+            status = DiagnosticStatus(
+                level=level,
+                name=self._node.get_fully_qualified_name().lstrip("/"),
+                hardware_id=self._node.get_namespace(),
+                message=message,
+                values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+            )
+            array = DiagnosticArray(status=[status])
+            array.header.stamp = stamp
             yield
-        status = DiagnosticStatus(
-            level=level,
-            name=self._node.get_fully_qualified_name().lstrip("/"),
-            hardware_id=self._node.get_namespace(),
-            message=message,
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = stamp
-        yield
-        self.publisher.publish(array)
-        yield
+            self.publisher.publish(array)
+            yield
+
+        self._node.later(pieces())

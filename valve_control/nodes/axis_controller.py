@@ -8,10 +8,9 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Float64
@@ -76,13 +75,12 @@ class AxisController(Managed):
         self._waits_since = NEVER  # s  first reading without pressures that the upper level needs
         self._paired = False  # lockstep: whether both pressures are those of the reading
         self._said: tuple[Mode, str] | None = None
-        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
+        self._diagnostics = Diagnostics(self, self._diagnose)
         fixed = ("sample_period", "stop.controller", "upper_level")
         ParameterSet(self, AXIS_CONTROLLER, axis_supervisor.design, self._apply, fixed=fixed)
         self._life = self.create_client(ChangeState, f"{word(self._values, 'stop.controller')}/change_state")
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self._values["autostart"]:
             self.autostart()
 
@@ -374,8 +372,6 @@ class AxisController(Managed):
     def _diagnose(self) -> None:
         mode, text = axis_supervisor.mode(self._state)
         level = LEVELS[mode]
-        if not self.working:
-            level, text = DiagnosticStatus.OK, "inactive" if self.configured else "unconfigured"
         s = self._state
         values = {
             "mode": mode.name.lower(),

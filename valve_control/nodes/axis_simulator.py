@@ -18,7 +18,6 @@ from valve_control.axis.axis_parameters import AXIS
 from valve_control.control.compiling import compile_function
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import valve
-from valve_control.nodes import realtime
 from valve_control.nodes.adapter import SAMPLES, ParameterSet, admit
 from valve_control.nodes.loop import Worker, run
 from valve_control.nodes.valve_simulator import ValveSimulator
@@ -141,7 +140,7 @@ class FeedingValve(ValveSimulator):
         self._row: Floats = np.zeros(machine.NOISES)
         super().__init__(alone=False, **options)
 
-    def _build(self, values: Values) -> tuple[Any, realtime.Request]:
+    def _build(self, values: Values) -> Any:
         period = self._fed.period
         if number(values, "sample_period") != period:
             raise ParameterError(

@@ -44,15 +44,10 @@ class CommandSource(Worker):
 
     def __init__(self) -> None:
         super().__init__("command_source")
-        self._pacing: NumberSubscription | None = None  # what each command follows
-        self._topic = ""  # of it
         self._shaped_by: list[Any] = []
         self._motion: Callable[[float], Any] = float  # V  at the time [s] at which a late timer sends it
         self._commands = self._rates = self._accels = np.empty(0)
-        self._message = ""
-        self._publisher: Any = None
         self._fault, self._fault_left = "none", 0
-        self._second: Any = None
         self._next = 0.0
         self._epoch = 0.0  # s  of the first command of this motion
         self._last_time = 0.0  # s  of the last command
@@ -60,7 +55,15 @@ class CommandSource(Worker):
         self._arrived = 0  # messages of the trigger, lost ones too
         self._number = 0  # of the last one, 0 where they have none
         self._ahead = False  # lockstep: whether the command of the next reading is sent
-        ParameterSet(self, COMMAND, self._build, self._apply)
+        values = ParameterSet(self, COMMAND, self._build, self._apply, fixed=("trigger", "message")).values
+        self._trigger, self._message = word(values, "trigger"), word(values, "message")
+        if self._message == "trajectory":
+            self._publisher = self.create_publisher(JointTrajectoryPoint, "spool_trajectory", SAMPLES)
+        else:
+            self._publisher = self.create_publisher(Float64, "spool_command", SAMPLES)
+        topic = {"timer": "", "lockstep": "spool_position"}.get(self._trigger, self._trigger)
+        # What each command follows.
+        self._pacing = NumberSubscription(self, topic, SAMPLES) if topic else None
 
     def _build(self, values: Values) -> Any:
         """Commands [V] of the shape; an hour of them takes a second, so only a new shape is computed."""
@@ -76,11 +79,6 @@ class CommandSource(Worker):
         if fault != self._fault:
             self._fault = fault
             self._fault_left = int(number(values, "fault.samples")) if fault != "none" else 0
-            if fault == "second_publisher" and self._second is None:
-                self._second = self._another(word(values, "message"))
-            elif fault != "second_publisher" and self._second is not None:
-                self.destroy_publisher(self._second)
-                self._second = None
         shaped_by = [values[name] for name in SHAPING]
         if shaped_by == self._shaped_by:
             return
@@ -91,11 +89,6 @@ class CommandSource(Worker):
             self._motion = Akima1DInterpolator(times, held)  # overshoots no step
         else:
             self._motion = functools.partial(scenarios.command, build.shape(values))
-        message = word(values, "message")
-        if message != self._message:
-            if self._publisher is not None:
-                self.destroy_publisher(self._publisher)
-            self._message, self._publisher = message, self._another(message)
         self._commands = commands
         self._rates, self._accels = build.derivatives(commands, number(values, "sample_period"))
         self._every = int(number(values, "every"))
@@ -106,24 +99,11 @@ class CommandSource(Worker):
         self._met: float | None = None
         self._began: float | None = None
         self._done = False
-        self._trigger = word(values, "trigger")
-        topic = {"timer": "", "lockstep": "spool_position"}.get(self._trigger, self._trigger)
-        if topic != self._topic:
-            if self._pacing is not None:
-                self._pacing.destroy()
-            self._topic = topic
-            self._pacing = NumberSubscription(self, topic, SAMPLES) if topic else None
-            self._ahead = False
         self._next = time.monotonic()
         self.get_logger().info(
             f"{values['scenario']}: {len(self._commands) * self._period:g} s of commands, "
             f"waiting for {self._listeners} listener(s)"
         )
-
-    def _another(self, message: str) -> Any:
-        if message == "trajectory":
-            return self.create_publisher(JointTrajectoryPoint, "spool_trajectory", SAMPLES)
-        return self.create_publisher(Float64, "spool_command", SAMPLES)
 
     def inputs(self) -> Sequence[NumberSubscription]:
         """Subscription of the readings or voltages, if they pace the commands."""

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reaches a running controller for `valve-control commission`, and looks at every message meanwhile."""
 
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -35,8 +34,8 @@ from valve_control.nodes.adapter import (
     encoded_point,
     number_of,
 )
+from valve_control.nodes.loop import first_line
 from valve_control.nodes.rclpy_internals import WaitSet
-from valve_control.nodes.transport import check_log_folder
 from valve_control.parameter import ParameterError, Value, Values
 
 MEET = 10.0  # s  in which controller and valve have to be found
@@ -373,8 +372,10 @@ def connected(name: str) -> Iterator[Controller]:
 
     Raises ParameterError if there is none.
     """
-    check_log_folder(os.environ)
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rclpy has no public type for a folder of logs that cannot be made
+        raise ParameterError(first_line(error)) from error
     node = rclpy.create_node("commissioner")
     try:
         controller = Controller(node, name)

@@ -11,13 +11,14 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control import inputs, outputs, parameter
 from valve_control.control.laws.registry import LAWS, REFUSED
@@ -36,9 +37,7 @@ from valve_control.nodes.adapter import (
     Diagnostics,
     NumberSubscription,
     ParameterSet,
-    PointSubscription,
     PolledSubscription,
-    TrajectoryPoint,
     acquainted,
     encoded,
     number_of,
@@ -61,37 +60,28 @@ REMIND = 0.1  # s between two voltages of 0 V while the LVDT is silent
 WATCH_GRAPH = 0.1  # s between two looks at who publishes and reads, and between two parts of the journal
 LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 NEVER = math.inf
-WARMING = 0.65  # of a period after a reading
 STANDS_BY = "another publisher on valve_voltage controls this valve, so this controller does not"
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
-# s between those of two valves of a process, by whether it is safe mode: all at once would hold up all.
-TURNS = {False: 0.01, True: 0.002}
-Built = tuple[Any, realtime.Request, tuple[str, ...]]  # Params of the law, and terms of ~/terms
+Built = tuple[Any, tuple[str, ...]]  # Params of the law, and terms of ~/terms
 
 
 class Controller(Managed):
     """Reads `spool_position`, `spool_command`, `spool_trajectory`, publishes `valve_voltage` and `~/state`.
 
-    ``alone``: whether the process has no other node; ``single``: whether it has no other valve, whose samples
-    would warm the CPU's caches.
+    ``alone``: whether the process has no other node.
     """
 
     table = CONTROLLER
-    told = -NEVER  # s, when one of the process's controllers last told a change
 
-    def __init__(self, single: bool = True, alone: bool = True, **options: Any) -> None:
+    def __init__(self, alone: bool = True, **options: Any) -> None:
         super().__init__("controller", **options)
         self._journal = Journal()
         self._supervisor = Supervisor(self._journal.note)
-        self._single = single
         self._said: tuple[Mode, str] | None = None
         self._announced: dict[str, float] = {}  # s, when a change was last told, by source
-        self._tell_at = NEVER  # s, when it is this valve's turn to tell one
         self._lockstep: Lockstep | None = None
-        self._in_lockstep = False
         self._watch_at = NEVER
         self._catching_up = False
-        self._warm_at = NEVER
         self._seen = 0.0  # s, last reading or silence
         self._pace: rate.State | None = None  # of the readings before the first that is used
         self._last_number = 0  # of a reading before the first that is used
@@ -109,15 +99,12 @@ class Controller(Managed):
         self._checked: Future[None]
         self._checker = ThreadPoolExecutor(1)  # a thread's start takes milliseconds where memory is locked
         self._unnumbered = False  # whether the middleware has numbered no reading
-        self._realtime: realtime.Request | None = None
-        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
-        self._settings = ParameterSet(self, self.table, self._build, self._apply, alone)
+        self._diagnostics = Diagnostics(self, self._diagnose)
+        self._settings = ParameterSet(self, self.table, self._build, self._apply, alone, ("lockstep",))
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save_parameters", self._on_save)
         self.create_service(Trigger, "~/load_parameters", self._on_load)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0, self._diagnose, clock=steady)
-        self.create_timer(WATCH_GRAPH, self._watch_graph, clock=steady)
+        self.create_timer(WATCH_GRAPH, self._watch_graph, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._check_stability()
         self._checked.result()
         if self._values["autostart"]:
@@ -127,34 +114,21 @@ class Controller(Managed):
         if refusal := self._supervisor.period_refusal(parameter.number(values, "sample_period")):
             raise ParameterError(refusal)
         chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
-        return build.law_params(values, self._values), realtime.request(values), named_terms(chosen)
+        return build.law_params(values, self._values), named_terms(chosen)
 
     def _apply(self, values: Values, built: Built) -> None:
-        params, wanted, terms = built
+        params, terms = built
         self._values = values
         self._supervisor.apply(values, params)
         self._params = params
         self._period = parameter.number(values, "sample_period")
         self._paced = parameter.number(values, "lvdt.period_limit") < rate.ANY
-        self._journal_topics.apply(parameter.number(values, "memory_period"))
-        if values["lockstep"] != self._in_lockstep:
-            self._in_lockstep = values["lockstep"] is True
-            if self.configured:
-                for topic in (self._readings, self._commands, self._trajectories):
-                    topic.destroy()
-                self._subscribe()
-            if self.working and not self._in_lockstep:  # whoever gave readings may have ended
-                self._seen = time.monotonic()
-                self._watch_at = self._seen + REMIND
+        self._journal_topics.period = parameter.number(values, "memory_period")
+        self._in_lockstep = values["lockstep"] is True
         # Half a period more than the last reading that may still come in time.
         self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
-        if self._in_lockstep:
-            self._watch_at = self._warm_at = NEVER
         every = int(parameter.number(values, "state_decimation"))
         self._telemetry.apply(self._supervisor.labels(), terms, every)
-        if wanted != self._realtime:
-            self._realtime = wanted
-            realtime.obtain(wanted, self.get_logger().warning)
         self._unchecked = True
         self._journal_topics.publish()
 
@@ -168,13 +142,10 @@ class Controller(Managed):
         self._send_voltage = sender(self._voltages)
         self._telemetry.open()
         self._journal_topics.open()
-        self._subscribe()
-
-    def _subscribe(self) -> None:
         # In lockstep each message is waited for.
         qos = SAMPLES if self._in_lockstep else NEWEST
         self._commands = NumberSubscription(self, "spool_command", qos)
-        self._trajectories = PointSubscription(self, "spool_trajectory", qos)
+        self._trajectories = PolledSubscription(self, JointTrajectoryPoint, "spool_trajectory", qos)
         self._readings = self._source(qos)
         sources = (self._commands, self._trajectories)
         self._lockstep = Lockstep(self, sources, self._use, self._acquainted) if self._in_lockstep else None
@@ -200,7 +171,6 @@ class Controller(Managed):
         self._said = None
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._in_lockstep else self._seen + REMIND
-        self._warm_at = self._tell_at = NEVER
         self._pace = None if self._in_lockstep else rate.UNKNOWN
         self._catching_up = False
         self._timing.clear()
@@ -236,34 +206,26 @@ class Controller(Managed):
         return self._lockstep.inputs()
 
     def due(self) -> float:
-        """Next time [s] to act without a message: LVDT silent, caches, lockstep check, a change to tell."""
+        """Next time [s] to act without a message: LVDT silent, lockstep check."""
         look_at = NEVER if self._lockstep is None else self._lockstep.look_at
-        return min(self._watch_at, self._warm_at, look_at, self._tell_at) if self.working else NEVER
+        return min(self._watch_at, look_at) if self.working else NEVER
 
     def work(self) -> bool:
-        """Answer each waiting reading, or warm caches for the next; without a reading in time, switch off."""
+        """Answer each waiting reading; without one in time, switch off."""
         if not self.working:
             return False
-        tells = time.monotonic() >= self._tell_at  # in ``report``, which follows
-        if tells:
-            self._tell_at = NEVER
         if self._lockstep is not None:
             taken = self._lockstep.next(self._readings)
             if taken is not None:
                 self._answer(*taken)
-            return taken is not None or tells
+            return taken is not None
         worked = False
         for reading, info in self._readings.take():
             if not self._rivals.stands_by:
                 self._answer(reading, info)
             worked = True
         now = time.monotonic()
-        if self._warm_at <= now < self._watch_at and not worked:
-            self._warm_at = NEVER
-            self._take_commands()
-            self._supervisor.rehearse()
         if now >= self._watch_at and not worked:
-            self._warm_at = NEVER
             self._catching_up = self._stood_still(now)
             self._take_commands()
             if self._pace is not None:
@@ -273,7 +235,7 @@ class Controller(Managed):
                 self._publish(voltage)
             self._watch_at = now + REMIND
             worked = True
-        return worked or tells
+        return worked
 
     def _stood_still(self, now: float) -> bool:
         """Whether this process stood still until ``now`` [s], so that it did not look in time."""
@@ -290,12 +252,9 @@ class Controller(Managed):
     def _may_tell(self, safe: bool, of: str = "supervisor") -> bool:
         """Whether it is time to tell a change ``of`` something; if it is, it counts as told."""
         now = time.monotonic()
-        if not self._single and now < Controller.told + TURNS[safe]:
-            self._tell_at = Controller.told + TURNS[safe]
-            return False
         if now < self._announced.get(of, -NEVER) + QUIET and not safe:
             return False
-        self._announced[of] = Controller.told = now
+        self._announced[of] = now
         return True
 
     def _answer(self, reading: float, info: dict[str, Any]) -> None:
@@ -306,11 +265,7 @@ class Controller(Managed):
             self.get_logger().warning(UNKNOWN)
         if not self._in_lockstep:
             self._take_commands()
-        if (
-            self._pace is not None
-            and not self._in_lockstep
-            and self._awaits_period(self._pace, number, began)
-        ):
+        if self._pace is not None and self._awaits_period(self._pace, number, began):
             return
         # What was sent while this process stood still comes in a burst afterwards and is stale.
         if self._stood_still(began):
@@ -328,8 +283,6 @@ class Controller(Managed):
         self._timing.note(began, ended, latency, self._period)
         self._rivals.answered(began)
         if not self._in_lockstep:
-            if self._single:
-                self._warm_at = began + WARMING * self._period
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         self._telemetry.note(self._supervisor)
 
@@ -354,7 +307,7 @@ class Controller(Managed):
         return elapsed
 
     def _publish(self, voltage: float) -> None:
-        self._rivals.gave()
+        self._rivals.given += 1
         self._send_voltage(encoded(voltage))
         self._published = time.time_ns()
 
@@ -364,7 +317,7 @@ class Controller(Managed):
             for message, info in source.take():
                 self._use(message, info)
 
-    def _use(self, message: float | TrajectoryPoint, info: Mapping[str, Any] = {}) -> None:  # noqa: B006
+    def _use(self, message: Any, info: Mapping[str, Any] = {}) -> None:  # noqa: B006
         """Pass on a command or a point.
 
         Times mean nothing in lockstep, without ``info``, and where readings may come at any pace.
@@ -375,14 +328,15 @@ class Controller(Managed):
             ago = (time.time_ns() - received) * 1e-9 if received else 0.0
             since = time.monotonic() - self._seen - ago
         supervisor, journal, sent = self._supervisor, self._journal, info.get("source_timestamp", 0)
-        if not isinstance(message, TrajectoryPoint):
+        if not isinstance(message, JointTrajectoryPoint):
             supervisor.command(message, journal.seconds("command", sent * self._paced), since)
             self._last_command = time.monotonic()
             return
         counts = len(message.positions), len(message.velocities), len(message.accelerations)
         if counts == (1, 1, 1):
             motion = Motion(*message.positions, *message.velocities, *message.accelerations)
-            supervisor.trajectory(motion, journal.seconds("trajectory", message.time or sent), since)
+            own = message.time_from_start.sec * 10**9 + message.time_from_start.nanosec
+            supervisor.trajectory(motion, journal.seconds("trajectory", own or sent), since)
             self._last_command = time.monotonic()
         else:
             supervisor.trajectory_refused(*counts)
@@ -421,7 +375,7 @@ class Controller(Managed):
             return
         if self._rivals.stands_by:
             self._publish(self._supervisor.stop())
-            self._watch_at = self._warm_at = NEVER
+            self._watch_at = NEVER
             self.get_logger().error(f"safe: {STANDS_BY}")
         else:
             self.begin()
@@ -517,8 +471,6 @@ class Controller(Managed):
 
     def _status(self) -> tuple[bytes, str]:
         """Level and sentence of the diagnostics."""
-        if not self.working:
-            return DiagnosticStatus.OK, "inactive" if self.configured else "unconfigured"
         if self._rivals.stands_by:
             return DiagnosticStatus.ERROR, f"{STANDS_BY}; {self._supervisor.reason}"
         return LEVELS[self._supervisor.mode], self._supervisor.reason

@@ -6,24 +6,24 @@ import secrets
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import ParameterEvent, ParameterType
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParametersAtomically
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import FluidPressure, JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control.control.parameters.table import DASHBOARD
 from valve_control.dashboard.machine import RESTING, Answer, Machine
@@ -33,30 +33,27 @@ from valve_control.nodes.adapter import (
     EVERYTHING,
     NumberSubscription,
     ParameterSet,
-    PointSubscription,
     PolledSubscription,
     number_of,
     plain,
 )
 from valve_control.nodes.loop import Failure, Worker, run
+from valve_control.nodes.parameter_capture import EVENTS, Question, full_name, lives
 from valve_control.parameter import Parameter, Value, Values, number, word
 
 POLL = 0.015  # s between two looks at what has come
 LOOK = 0.25  # s between two looks at the graph
-ACQUAINT = 0.5  # s that a server gets to see its new client
 ANSWER = 3.0  # s for an answer, then the request is given up
 NANO = 1e-9
 # The loop must not wait for a page: no acknowledgements, and room for what comes while the page is busy.
 WATCHED = QoSProfile(depth=4000, reliability=ReliabilityPolicy.BEST_EFFORT)
-EVENTS = "/parameter_events"
 NUMBER = "std_msgs/msg/Float64"
-POINT = "trajectory_msgs/msg/JointTrajectoryPoint"
 READINGS = {"spool_position": NUMBER, "valve_voltage": NUMBER}
 AXIS = {
-    "joint_states": "sensor_msgs/msg/JointState",
-    "pressure_a": "sensor_msgs/msg/FluidPressure",
-    "pressure_b": "sensor_msgs/msg/FluidPressure",
-    "axis_goal": POINT,
+    "joint_states": ("sensor_msgs/msg/JointState", JointState),
+    "pressure_a": ("sensor_msgs/msg/FluidPressure", FluidPressure),
+    "pressure_b": ("sensor_msgs/msg/FluidPressure", FluidPressure),
+    "axis_goal": ("trajectory_msgs/msg/JointTrajectoryPoint", JointTrajectoryPoint),
 }
 COMMANDS = ("spool_command", "spool_trajectory")
 MOST_JOINTS = 6  # of one message
@@ -68,8 +65,7 @@ PARTIES = {
     "axis_goal": "upper",
     **dict.fromkeys(COMMANDS, "source"),
 }
-NEEDED = ("list_parameters", "describe_parameters", "get_parameters", "set_parameters_atomically")
-LIST, SAVE = "/list_parameters", "/save_parameters"
+SAVE = "/save_parameters"
 LEVELS = ("info", "warning", "error", "error")
 DEFAULTS: dict[int, Value] = {
     ParameterType.PARAMETER_BOOL: False,
@@ -99,21 +95,6 @@ def field(descriptor: Any) -> Parameter | None:
     return result
 
 
-def full_name(info: Any) -> str:
-    """Full name of the node of an endpoint of the graph."""
-    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-
-
-class Pending(NamedTuple):
-    """A request that waits for its answer."""
-
-    future: Any  # of rclpy
-    client: Any
-    until: float  # s
-    done: Callable[[Any], None]
-    late: Callable[[], None]
-
-
 class Remote:
     """The services of another node, with what it has told of its parameters."""
 
@@ -121,10 +102,8 @@ class Remote:
         self.valve, self.state = valve, state
         self._owner = owner
         self._clients: dict[str, Any] = {}
-        self._seen: float | None = None  # s  since when all services have been there
-        self._learning: Generator[tuple[Any, str, Any], Any, None] | None = None
-        self._events: Values = {}  # what it has published while it was asked
-        self.known = False
+        self._question: Question | None = Question(owner, state.name, describe=True)  # None: answered
+        self.client(SetParametersAtomically, "set_parameters_atomically")  # which takes a while to be ready
 
     def client(self, kind: Any, service: str) -> Any:
         """Client of one of the node's services."""
@@ -132,64 +111,32 @@ class Remote:
             self._clients[service] = self._owner.create_client(kind, f"{self.state.name}/{service}")
         return self._clients[service]
 
-    def ask(self, kind: Any, service: str, request: Any, done: Any, late: Any) -> None:
-        """Send a request; ``done`` gets the answer, or ``late`` is called after a while without one."""
-        client = self.client(kind, service)
-        future = client.call_async(request)
-        self._owner.pending.append(Pending(future, client, time.monotonic() + ANSWER, done, late))
-
-    def learn(self, now: float) -> None:
+    def learn(self) -> None:
         """Ask for names, descriptions and values, until they have come."""
-        if self.known or self._learning is not None:
+        parameters = None if self._question is None else next(self._question.answer)
+        if self._question is None or parameters is None:
             return
-        kinds = (ListParameters, DescribeParameters, GetParameters, SetParametersAtomically)
-        clients = [self.client(kind, name) for kind, name in zip(kinds, NEEDED, strict=True)]
-        if not all(client.service_is_ready() for client in clients):
-            self._seen = None
-            return
-        self._seen = now if self._seen is None else self._seen
-        if now >= self._seen + ACQUAINT:
-            self._learning = self._questions()
-            self._proceed(None)
-
-    def _questions(self) -> Generator[tuple[Any, str, Any], Any, None]:
-        """Yields a request after the other and receives the answers."""
-        request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
-        names = list((yield ListParameters, "list_parameters", request).result.names)
-        request = DescribeParameters.Request(names=names)
-        descriptors = (yield DescribeParameters, "describe_parameters", request).descriptors
-        fields = {f.name: f for f in map(field, descriptors) if f is not None}
-        request = GetParameters.Request(names=list(fields))
-        answer = yield GetParameters, "get_parameters", request
-        values = {
-            name: plain(parameter_value_to_python(value))
-            for name, value in zip(fields, answer.values, strict=False)
-        }
-        values |= {name: value for name, value in self._events.items() if name in values}
-        self.known = True
+        fields = {f.name: f for f in map(field, self._question.descriptors) if f is not None}
+        values = {name: value for name, value in _values(parameters).items() if name in fields}
+        self._question.destroy()
+        self._question = None
         self._owner.learned(self, fields, values)
 
-    def _proceed(self, answer: Any) -> None:
-        assert self._learning is not None
-        with suppress(StopIteration):
-            self.ask(*self._learning.send(answer), self._proceed, self._give_up)
-
-    def _give_up(self) -> None:
-        self._learning = None
-
-    def event(self, declared: Values, changed: Values) -> None:
+    def event(self, event: ParameterEvent) -> None:
         """Take in what the node has published of its parameters.
 
         A node that declares what it is known to have was started anew: its values are asked for when the
         graph shows that, and are no change that somebody made.
         """
-        if not self.known:
-            self._events |= declared | changed
-        elif changed:
+        if self._question is not None:
+            self._question.events.append(event)
+        elif changed := _values(event.changed_parameters):
             self._owner.machine.observed(self.valve, self.state, changed)
 
     def destroy(self) -> None:
         """Give its clients back."""
+        if self._question is not None:
+            self._question.destroy()
         for client in self._clients.values():
             self._owner.destroy_client(client)
 
@@ -205,7 +152,9 @@ class Watched:
             name: NumberSubscription(node, f"{self._base}/{name}", WATCHED)
             for name in ("spool_command", "spool_position", "valve_voltage")
         }
-        self._points = PointSubscription(node, f"{self._base}/spool_trajectory", WATCHED)
+        self._points = PolledSubscription(
+            node, JointTrajectoryPoint, f"{self._base}/spool_trajectory", WATCHED
+        )
         self._axis: dict[str, PolledSubscription] = {}
         self._states: PolledSubscription | None = None
         self._last: dict[str, int] = {}
@@ -214,18 +163,13 @@ class Watched:
         """Read the controller's state from ``topic``."""
         if self._states is not None:
             self._states.destroy()
-        self._states = PolledSubscription(self._node, Float64MultiArray, topic, WATCHED, raw=True)
+        self._states = PolledSubscription(self._node, Float64MultiArray, topic, WATCHED)
 
     def watch_axis(self, name: str) -> None:
         """Read a topic of the axis that the valve moves."""
         if name not in self._axis:
             topic = f"{self._base}/{name}"
-            kind = JointState if name == "joint_states" else FluidPressure
-            self._axis[name] = (
-                PointSubscription(self._node, topic, WATCHED)
-                if AXIS[name] == POINT
-                else PolledSubscription(self._node, kind, topic, WATCHED, raw=True)
-            )
+            self._axis[name] = PolledSubscription(self._node, AXIS[name][1], topic, WATCHED)
 
     def poll(self) -> None:
         """Hand on all that has come."""
@@ -264,7 +208,7 @@ class Watched:
 
     def _terms(self) -> Iterator[tuple[str, int, float]]:
         """Name, stamp [ns] and value of each number of the controller's state that has a name."""
-        for message, info in decoded(self._states, Float64MultiArray):
+        for message, info in self._states.take() if self._states is not None else ():
             if len(message.layout.dim) == len(message.data):
                 for dimension, value in zip(message.layout.dim, message.data, strict=True):
                     yield f"term.{dimension.label}", info["source_timestamp"], value
@@ -272,14 +216,12 @@ class Watched:
     def _moved(self) -> Iterator[tuple[str, int, float]]:
         """Name, stamp [ns] and value of each signal of the axis: positions in m, pressures in bar."""
         for topic, subscription in self._axis.items():
-            if topic == "axis_goal":
-                for point, info in subscription.take():
-                    if point.positions:
-                        yield "axis.goal", info["source_timestamp"], point.positions[0]
-                continue
-            kind = JointState if topic == "joint_states" else FluidPressure
-            for message, info in decoded(subscription, kind):
+            for message, info in subscription.take():
                 stamp = info["source_timestamp"]
+                if topic == "axis_goal":
+                    if message.positions:
+                        yield "axis.goal", stamp, message.positions[0]
+                    continue
                 if topic != "joint_states":
                     yield f"axis.{topic}", stamp, message.fluid_pressure / BAR
                     continue
@@ -288,32 +230,21 @@ class Watched:
                     yield f"axis.position of {name}" if several else "axis.position", stamp, value
 
 
-def decoded(subscription: PolledSubscription | None, kind: Any) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Messages of a subscription of bytes; those that are no messages of this ``kind`` are passed over."""
-    for data, info in subscription.take() if subscription is not None else ():
-        try:
-            message = deserialize_message(data, kind)
-        except Exception:  # rclpy has no public type for bytes that are no message
-            continue
-        yield message, info
-
-
 class Dashboard(Worker):
     """Watches all valves of the graph, hands the page's wishes to their nodes; the page runs in a thread."""
 
     def __init__(self) -> None:
         super().__init__("dashboard")
-        self.pending: list[Pending] = []
         self.machine = Machine(self)
-        self._wishes: deque[Callable[[], None]] = deque()
+        self._wishes: deque[Iterator[None]] = deque()  # each is done, or goes on at the next poll
         self._watched: dict[str, Watched] = {}
         self._remotes: dict[str, Remote] = {}
         self._lives: dict[str, set[bytes]] = {}
         self._server: Any = None
         fixed = {parameter.name for parameter in DASHBOARD}
         self._values = ParameterSet(self, DASHBOARD, lambda values: None, fixed=fixed).values
-        self._events = PolledSubscription(self, ParameterEvent, EVENTS, EVERYTHING, raw=True)
-        self._diagnostics = PolledSubscription(self, DiagnosticArray, "/diagnostics", EVERYTHING, raw=True)
+        self._events = PolledSubscription(self, ParameterEvent, EVENTS, EVERYTHING)
+        self._diagnostics = PolledSubscription(self, DiagnosticArray, "/diagnostics", EVERYTHING)
         self._next = self._look_at = time.monotonic()
         self._serve()
 
@@ -367,17 +298,23 @@ class Dashboard(Worker):
     ) -> "Future[Answer]":
         answer: Future[Answer] = Future()
 
-        def act() -> None:
+        def act() -> Iterator[None]:
             remote = self._remotes.get(node)
             if remote is None or not remote.client(kind, name).service_is_ready():
                 answer.set_result(Answer(False, f"{node} has no service {name}, or is gone", False))
                 return
-            late = Answer(False, f"{node} did not answer within {ANSWER:g} s; it may be gone", False)
-            remote.ask(
-                kind, name, request, lambda a: answer.set_result(read(a)), lambda: answer.set_result(late)
-            )
+            client, until = remote.client(kind, name), time.monotonic() + ANSWER
+            future = client.call_async(request)
+            while not future.done():
+                if time.monotonic() > until:
+                    client.remove_pending_request(future)
+                    late = f"{node} did not answer within {ANSWER:g} s; it may be gone"
+                    answer.set_result(Answer(False, late, False))
+                    return
+                yield
+            answer.set_result(read(future.result()))
 
-        self._wishes.append(act)
+        self._wishes.append(act())
         return answer
 
     # Work
@@ -396,40 +333,24 @@ class Dashboard(Worker):
             raise Failure("the page's server has ended; its reason stands above")
         for watched in self._watched.values():
             watched.poll()
-        for event, _ in decoded(self._events, ParameterEvent):
-            remote = self._remotes.get(event.node)
-            if remote is not None:
-                remote.event(_values(event.new_parameters), _values(event.changed_parameters))
-        for array, _ in decoded(self._diagnostics, DiagnosticArray):
+        for event, _ in self._events.take():
+            if remote := self._remotes.get(event.node):
+                remote.event(event)
+        for remote in self._remotes.values():
+            remote.learn()
+        for array, _ in self._diagnostics.take():
             for status in array.status:
                 remote = self._remotes.get(f"/{status.name.lstrip('/')}")
                 if remote is not None:
                     self._take_status(remote, status)
         for _ in range(len(self._wishes)):
-            self._wishes.popleft()()
-        self._settle(now)
+            wish = self._wishes.popleft()
+            if next(wish, self) is not self:
+                self._wishes.append(wish)
         if now >= self._look_at:
             self._look_at = now + LOOK
             self._look(now)
         return False
-
-    def _settle(self, now: float) -> None:
-        """Hand on the answers that have come, and give up what is late."""
-        waiting, self.pending = self.pending, []
-        for request in waiting:
-            if request.future.done():
-                try:
-                    answer = request.future.result()
-                except Exception as error:  # of rclpy: an answer that cannot be read
-                    self.get_logger().warning(str(error))
-                    request.late()
-                else:
-                    request.done(answer)
-            elif now > request.until:
-                request.client.remove_pending_request(request.future)
-                request.late()
-            else:
-                self.pending.append(request)
 
     def _take_status(self, remote: Remote, status: Any) -> None:
         valve, state, level = remote.valve, remote.state, LEVELS[min(status.level[0], 3)]
@@ -452,11 +373,7 @@ class Dashboard(Worker):
     def _look(self, now: float) -> None:
         """Find valves and their nodes, and see which nodes have come, gone or been started anew."""
         services = dict(self.get_service_names_and_types())
-        nodes = {name.removesuffix(LIST) for name in services if name.endswith(LIST)}
-        lives: dict[str, set[bytes]] = {}
-        for info in self.get_publishers_info_by_topic(EVENTS):
-            if full_name(info) in nodes:
-                lives.setdefault(full_name(info), set()).add(bytes(info.endpoint_gid))
+        nodes = lives(self)
         for name in services:
             node = name.removesuffix(SAVE)
             if name.endswith(SAVE) and node in nodes:
@@ -466,7 +383,7 @@ class Dashboard(Worker):
             base, _, last = topic.rpartition("/")
             if READINGS.get(last) in types and self.count_publishers(topic):
                 self._valve(base or "/")
-            elif AXIS.get(last) in types and self.count_publishers(topic):
+            elif last in AXIS and AXIS[last][0] in types and self.count_publishers(topic):
                 moving.append((base or "/", last))
         for namespace, name in moving:
             if namespace in self._watched:
@@ -480,12 +397,11 @@ class Dashboard(Worker):
                 for topic in PARTIES
             }
             for topic, party in PARTIES.items():
-                for name in nodes.intersection(publishers[topic]):
+                for name in nodes.keys() & {*publishers[topic]}:
                     self._meet(namespace, name, party)
             watched.valve.commanders = sorted({name for topic in COMMANDS for name in publishers[topic]})
         for name, remote in list(self._remotes.items()):
-            self._look_at_node(name, remote, lives.get(name, set()), services)
-            self._remotes[name].learn(now)
+            self._look_at_node(name, remote, nodes.get(name, set()), services)
 
     def _valve(self, namespace: str) -> Valve:
         valve = self.machine.valve(namespace)

@@ -14,14 +14,14 @@ from valve_control.control.drivers.device import Device
 from valve_control.control.parameters import drivers
 from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.parameters.drivers import DEVICE, LIVE
-from valve_control.nodes.adapter import SAMPLES, PolledSubscription, acquainted, encoded
-from valve_control.nodes.controller_node import WARMING, Built, Controller
+from valve_control.nodes.adapter import SAMPLES, PolledSubscription, encoded
+from valve_control.nodes.controller_node import Built, Controller
 from valve_control.nodes.device_node import LEVELS, MOST_MISSING, DeviceNode
-from valve_control.nodes.lockstep import COMMANDING
 from valve_control.nodes.rclpy_internals import sender
-from valve_control.parameter import ParameterError, Values, number, word
+from valve_control.parameter import ParameterError, Values, word
 
 OWN = {parameter.name for parameter in CONTROLLER}
+SERVING = 0.65  # of a period after a reading, in which the process serves others
 
 
 class DeviceReadings:
@@ -30,12 +30,11 @@ class DeviceReadings:
     def __init__(self, device: Device) -> None:
         self._device = device
         self._number = 0
-        self.held = False  # lockstep: a reading waits for its command, and the device is not asked
         self.fresh: list[float] = []  # V, to be published; NaN: lost or not valid
 
     def take(self) -> Iterator[tuple[float, dict[str, Any]]]:
         """The next reading if it is there; a device that cannot be polled is waited for."""
-        reading = None if self.held else self._device.poll()
+        reading = self._device.poll()
         if reading is not None:
             self._number += reading.lost + 1
             self.fresh += [math.nan] * min(reading.lost, MOST_MISSING)
@@ -43,43 +42,38 @@ class DeviceReadings:
             info = {"publication_sequence_number": self._number, "source_timestamp": time.time_ns()}
             yield reading.signal, info
 
-    def destroy(self) -> None:
-        """Do nothing: the device is not the subscription's."""
-
 
 class DeviceController(DeviceNode, Controller):
     """The controller with a device; it publishes `spool_position` and `valve_voltage` after each sample.
 
     A device that cannot be polled makes the loop wait: for part of a period after a reading the node serves
-    others and warms its caches, then it waits for the next. Such a device shares its process with no other.
+    others, then it waits for the next. Such a device shares its process with no other.
     """
 
     table = CONTROLLER + DEVICE
     live = frozenset(LIVE | OWN - {"sample_period"})
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, alone: bool = True, **options: Any) -> None:
+        self._alone = alone
         self._ready_at = 0.0  # s, from when on the next reading is waited for
         self._asked_at = 0.0  # s, when it was last asked for
         self._begun = False
         self._given: list[float] = []  # V, to be published
-        self._every = 1  # reading that is published
-        self._unpublished = 0  # readings
-        super().__init__(**options)
+        super().__init__(alone=alone, **options)
 
     def _build(self, values: Values) -> Built:
         self.refuse_changes(values)
-        if not drivers.device(values).polled and not self._single:
+        if not (drivers.device(values).polled or self._alone):
             raise ParameterError(
                 f"driver is '{values['driver']}', which waits for its device and would hold up the other "
                 "valves of the process; give this valve a controller of its own"
             )
-        if values["lockstep"] and values["signal_decimation"] != 1:
-            raise ParameterError("signal_decimation must be 1 in lockstep, where each reading is waited for")
+        if values["lockstep"]:
+            raise ParameterError("lockstep is true, but a device keeps its own time; set lockstep to false")
         return super()._build(values)
 
     def _apply(self, values: Values, built: Built) -> None:
         self.use(values)
-        self._every = int(number(values, "signal_decimation"))
         super()._apply({name: value for name, value in values.items() if name in OWN}, built)
 
     # Life
@@ -91,8 +85,7 @@ class DeviceController(DeviceNode, Controller):
         self._send_position = sender(self._positions)
 
     def _source(self, qos: QoSProfile) -> Any:
-        assert self._device is not None
-        self._from_device = DeviceReadings(self._device)
+        self._from_device = DeviceReadings(self.device)
         return self._from_device
 
     def begin(self) -> None:
@@ -104,82 +97,58 @@ class DeviceController(DeviceNode, Controller):
     def end(self) -> None:
         """Give 0 V and switch the output off."""
         super().end()
-        assert self._device is not None
-        self._device.enable(False)
+        self.device.enable(False)
         self._publish_signals()
 
     # Work
 
-    @property
-    def _waits(self) -> bool:
-        """Whether a reading waits for its command, in lockstep."""
-        return self._lockstep is not None and self._lockstep.waiting is not None
-
     def inputs(self) -> Sequence[PolledSubscription]:
-        """Subscriptions of commands, in lockstep while a reading waits for one."""
-        return super().inputs() if self._waits else ()
+        """None: commands wait for the device's reading."""
+        return ()
 
     def due(self) -> float:
         """Time [s] from which the device is asked for a reading, or there is something else to do."""
-        if self._waits or not self.working:
+        if not self.working:
             return super().due()
-        assert self._device is not None
-        ready = max(self._ready_at, self._device.due())
+        ready = max(self._ready_at, self.device.due())
         return min(ready, super().due()) if self._begun else 0.0
 
     def fileno(self) -> int:
         """File of the device."""
-        listens = self.working and self._begun and not self._waits
-        return self._device.fileno() if listens and self._device is not None else -1
+        return self.device.fileno() if self.working and self._begun else -1
 
     def work(self) -> bool:
         """Answer a reading that has come."""
         if not self.working:
             return False
-        assert self._device is not None
         if not self._begun:
             self._begun = True
-            self._device.enable(True)
+            self.device.enable(True)
         before = self._supervisor.memory.samples
         self._asked_at = time.monotonic()
-        self._from_device.held = self._waits
-        worked = super().work()
-        waits = not (self._device.polled or self._in_lockstep) and self._supervisor.memory.samples != before
-        self._ready_at = self._timing.arrivals[-1] + WARMING * self._period if waits else 0.0
-        return worked or not self._waits
+        super().work()
+        waits = not self.device.polled and self._supervisor.memory.samples != before
+        self._ready_at = self._timing.arrivals[-1] + SERVING * self._period if waits else 0.0
+        return True
 
     def _stood_still(self, now: float) -> bool:
         """Whether this process stood still; a wait for the device, in which time goes by too, is none."""
-        waited = self._device is not None and not self._device.polled
-        return super()._stood_still(self._asked_at if waited else now)
+        return super()._stood_still(now if self.device.polled else self._asked_at)
 
     def _publish(self, voltage: float) -> None:
-        assert self._device is not None
-        self._device.write(voltage)
+        self.device.write(voltage)
         self._published = time.time_ns()
         self._given.append(voltage)
 
     def _publish_signals(self) -> None:
-        """Publish readings and voltages that the topics do not have yet; not a reading without its answer.
-
-        With ``signal_decimation`` every n-th of them, and each voltage that no reading has caused.
-        """
-        fresh = self._from_device.fresh
-        answered = len(fresh) - 1 if self._waits else len(fresh)
-        self._unpublished += answered
-        if self._every == 1:
-            for reading in fresh[:answered]:
-                self._send_position(encoded(reading))
-            for voltage in self._given:
-                self._send_voltage(encoded(voltage))
-        elif self._given and not answered:
-            self._send_voltage(encoded(self._given[-1]))
-        elif self._given and self._unpublished >= self._every:
-            self._unpublished = 0
-            self._send_position(encoded(fresh[answered - 1]))
-            self._send_voltage(encoded(self._given[-1]))
-        del fresh[:answered]
-        self._given.clear()
+        """Publish readings and voltages that the topics do not have yet."""
+        for numbers, send in (
+            (self._from_device.fresh, self._send_position),
+            (self._given, self._send_voltage),
+        ):
+            for one in numbers:
+                send(encoded(one))
+            numbers.clear()
 
     def report(self) -> None:
         """Publish the sample on the topics, then what a controller reports."""
@@ -194,9 +163,6 @@ class DeviceController(DeviceNode, Controller):
 
     def _give_way(self, several: bool) -> None:
         """Go on: the device is this controller's, whoever publishes voltages."""
-
-    def _acquainted(self) -> bool:
-        return any(acquainted(self, self._positions, topic) for topic in COMMANDING)
 
     def _status(self) -> tuple[bytes, str]:
         level, text = super()._status()

@@ -28,6 +28,12 @@ class DeviceNode(Managed):
         self._told: tuple[Condition, ...] = ()
         super().__init__(*arguments, **options)
 
+    @property
+    def device(self) -> Device:
+        """The device, which is open."""
+        assert self._device is not None
+        return self._device
+
     def refuse_changes(self, values: Values) -> None:
         """Raise ParameterError if ``values`` change a parameter of an open device that is not ``live``."""
         former = self.device_values if self._device is not None else {}

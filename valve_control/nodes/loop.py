@@ -10,7 +10,6 @@ timers and discovery too, now and then, one node at a time.
 import argparse
 import gc
 import linecache
-import os
 import select
 import signal
 import sys
@@ -29,7 +28,6 @@ from rclpy.utilities import remove_ros_args
 from valve_control.nodes.adapter import PolledSubscription
 from valve_control.nodes.rclpy_internals import WaitSet, call_timer
 from valve_control.nodes.services import Reception, Unwatched
-from valve_control.nodes.transport import check_log_folder
 from valve_control.parameter import ParameterError
 
 CHORES = 0.05  # s between two looks at a node's timers beside samples ...
@@ -37,10 +35,9 @@ IDLE_CHORES = 0.01  # s  ... and while there are none; at most twice that
 CALM = 0.01  # s without a sample, after which services need not wait for the next
 SWITCH = 1e-4  # s after which another thread gives way to the loop
 STALL = 0.01  # s; the loop wakes on time unless its process stood still
-# Between two looks of the executor at a node that has only timers and polled subscriptions: without samples,
-# and beside them. A look takes 2 to 6 ms there, and only tells of another quality of service.
-EVENTS = {True: 0.25, False: 5.0}  # s
-
+# Between two looks of the executor at a node that has only timers and polled subscriptions, without samples:
+# a look takes 2 to 6 ms beside them, and only tells of another quality of service.
+EVENTS = 0.25  # s
 
 _stopped: list[int] = []  # signals that have come
 
@@ -142,7 +139,6 @@ def run(make: Callable[[], Sequence[Any]]) -> int:
     try:
         parser.parse_args(stray_words(sys.argv[1:]))
         remove_ros_args(sys.argv)  # refuses, and writes no line of the log as init does
-        check_log_folder(os.environ)
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy has no public type for bad --ros-args
         print(f"{sys.argv[0]}: {first_line(error)}", file=sys.stderr)
@@ -204,9 +200,9 @@ class Chores:
         now = time.monotonic()
         answered = any(True for _ in self.node.clients)  # or messages, which the executor may hand out
         unwatched = all(isinstance(one.callback_group, Unwatched) for one in self.node.subscriptions)
-        if now < self._look_at and unwatched and not answered:
+        if unwatched and not answered and not (calm and now >= self._look_at):
             return False
-        self._look_at = now + EVENTS[calm]
+        self._look_at = now + EVENTS
         return self._executed()
 
     def _executed(self) -> bool:

@@ -70,9 +70,8 @@ class Manifold(Worker):
 
             kind_of_node, table = DeviceController, DeviceController.table
         admit(self, {self.get_fully_qualified_name(): MANIFOLD, **dict.fromkeys(hosts, table)})
-        own = {"single": len(valves) == 1} if kind == "controller" else {}
-        for name in valves:
-            made.append(kind_of_node(alone=False, cli_args=remapped(f"{space}/{name}/{kind}"), **own))
+        for host in hosts:
+            made.append(kind_of_node(alone=False, cli_args=remapped(host)))
         self.get_logger().info(f"{len(made)} x {kind}: {', '.join(valves)}")
         return made
 

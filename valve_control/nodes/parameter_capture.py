@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Captures all nodes' parameters for a recording: asks each node once, then follows its changes."""
+"""Asks other nodes for all their parameters, once each, and follows their changes."""
 
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType
-from rcl_interfaces.srv import GetParameters, ListParameters
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -19,45 +19,77 @@ ASK_AGAIN = 3.0  # s; a server that has not yet seen its client does not answer
 ACQUAINT = 1.0  # s
 
 
-class Question:
-    """Asks one node for all its parameters: first their names, then their values."""
+def full_name(info: Any) -> str:
+    """Full name of the node of an endpoint of the graph."""
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
-    def __init__(self, node: Node, name: str) -> None:
+
+def lives(node: Node) -> dict[str, set[bytes]]:
+    """All nodes with parameters, each with its publishers of events, which are new ones after a restart."""
+    found: dict[str, set[bytes]] = {
+        name.removesuffix(LIST): set()
+        for name, types in node.get_service_names_and_types()
+        if name.endswith(LIST) and "rcl_interfaces/srv/ListParameters" in types
+    }
+    for info in node.get_publishers_info_by_topic(EVENTS):
+        if full_name(info) in found:
+            found[full_name(info)].add(bytes(info.endpoint_gid))
+    return found
+
+
+class Question:
+    """Asks one node for all its parameters: their names, if wanted their descriptors, then their values."""
+
+    def __init__(self, node: Node, name: str, describe: bool = False) -> None:
         self._node = node
-        self._list = node.create_client(ListParameters, f"{name}/list_parameters")
-        self._get = node.create_client(GetParameters, f"{name}/get_parameters")
+        kinds = (ListParameters, GetParameters, *((DescribeParameters,) if describe else ()))
+        services = ("list_parameters", "get_parameters", "describe_parameters")
+        self._clients = {
+            kind: node.create_client(kind, f"{name}/{service}")
+            for kind, service in zip(kinds, services, strict=False)
+        }
+        self.descriptors: Sequence[Any] = ()
         self._missed_at = time.monotonic()  # s, when one of the servers was not there
         self.answer = self._parameters()  # at each step None, or the parameters once they have come
         self.events: list[ParameterEvent] = []  # changes since the beginning
 
     def _parameters(self) -> Iterator[list[Parameter] | None]:
         depth = ListParameters.Request.DEPTH_RECURSIVE
-        listed = yield from self._answered(self._list, ListParameters.Request(depth=depth))
+        listed = yield from self._answered(ListParameters, depth=depth)
         names = listed.result.names
-        got = yield from self._answered(self._get, GetParameters.Request(names=names))
-        yield [
-            Parameter(name=name, value=value)
+        if DescribeParameters in self._clients:
+            self.descriptors = (yield from self._answered(DescribeParameters, names=names)).descriptors
+        got = yield from self._answered(GetParameters, names=names)
+        values = {
+            name: Parameter(name=name, value=value)
             for name, value in zip(names, got.values, strict=False)
             if value.type != ParameterType.PARAMETER_NOT_SET
-        ]
+        }
+        # What changed while the answer was on its way is newer, or the same.
+        for event in self.events:
+            for parameter in (*event.new_parameters, *event.changed_parameters):
+                values[parameter.name] = parameter
+            for parameter in event.deleted_parameters:
+                values.pop(parameter.name, None)
+        yield list(values.values())
 
-    def _answered(self, client: Any, request: Any) -> Generator[None, None, Any]:
-        future, ask_at = None, 0.0
+    def _answered(self, kind: Any, **fields: Any) -> Generator[None, None, Any]:
+        client, future, ask_at = self._clients[kind], None, 0.0
         while future is None or not future.done():
             now = time.monotonic()
-            if not (self._list.service_is_ready() and self._get.service_is_ready()):
+            if not all(one.service_is_ready() for one in self._clients.values()):
                 self._missed_at = now
             if now >= max(ask_at, self._missed_at + ACQUAINT):
                 if future is not None:
                     client.remove_pending_request(future)
-                future, ask_at = client.call_async(request), now + ASK_AGAIN
+                future, ask_at = client.call_async(kind.Request(**fields)), now + ASK_AGAIN
             yield
         return future.result()
 
     def destroy(self) -> None:
         """Stop asking."""
-        self._node.destroy_client(self._list)
-        self._node.destroy_client(self._get)
+        for client in self._clients.values():
+            self._node.destroy_client(client)
 
 
 class ParameterCapture:
@@ -71,23 +103,16 @@ class ParameterCapture:
 
     def look(self) -> None:
         """Look which nodes have come and gone."""
-        lives: dict[str, set[bytes]] = {}
-        for name, types in self._node.get_service_names_and_types():
-            if name.endswith(LIST) and "rcl_interfaces/srv/ListParameters" in types:
-                lives[name.removesuffix(LIST)] = set()
-        lives.pop(self._node.get_fully_qualified_name(), None)
-        for info in self._node.get_publishers_info_by_topic(EVENTS):
-            name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            if name in lives:
-                lives[name].add(bytes(info.endpoint_gid))
-        for name in self._lives.keys() - lives.keys():
+        present = lives(self._node)
+        present.pop(self._node.get_fully_qualified_name(), None)
+        for name in self._lives.keys() - present.keys():
             self._forget(name)
-        for name, publishers in lives.items():
+        for name, publishers in present.items():
             before = self._lives.get(name)
             if before is None or (before and publishers - before):
                 self._forget(name)
                 self._questions[name] = Question(self._node, name)
-        self._lives = lives
+        self._lives = present
 
     def _forget(self, name: str) -> None:
         if question := self._questions.pop(name, None):
@@ -99,19 +124,12 @@ class ParameterCapture:
             parameters = next(question.answer)
             if parameters is None:
                 continue
-            values = {parameter.name: parameter for parameter in parameters}
-            # What changed while the answer was on its way is newer, or the same.
-            for event in question.events:
-                for parameter in (*event.new_parameters, *event.changed_parameters):
-                    values[parameter.name] = parameter
-                for parameter in event.deleted_parameters:
-                    values.pop(parameter.name, None)
             question.destroy()
             del self._questions[name]
-            written = ParameterEvent(node=name, new_parameters=list(values.values()))
+            written = ParameterEvent(node=name, new_parameters=parameters)
             written.stamp = self._node.get_clock().now().to_msg()
             self._write(serialize_message(written))
-            self._node.get_logger().info(f"has the {len(values)} parameters of {name}")
+            self._node.get_logger().info(f"has the {len(parameters)} parameters of {name}")
 
     def unanswered(self) -> list[str]:
         """Nodes that have not answered."""

@@ -24,8 +24,13 @@ class Request(NamedTuple):
     cpus: tuple[int, ...]  # empty: leave them
 
 
+UNCHANGED = Request(False, 0, ())
+
+
 def request(values: Values) -> Request:
-    """Request from a node's parameter values. Raises ParameterError."""
+    """Request from a node's parameter values, which may have none. Raises ParameterError."""
+    if "realtime.cpus" not in values:
+        return UNCHANGED
     text = parameter.word(values, "realtime.cpus").strip()
     try:
         cpus = tuple(int(word) for word in text.split(",")) if text else ()
@@ -54,22 +59,17 @@ def obtain(wanted: Request, warn: Callable[[str], None]) -> None:
         if libc.mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
             reason = os.strerror(ctypes.get_errno())
             warn(f"realtime.lock_memory: not locked, {reason}; the limit is 'ulimit -l' (memlock)")
-    if wanted.priority > 0:
-        try:
-            for_each(
-                threads,
-                lambda thread: os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(wanted.priority)),
-            )
-        except OSError as error:
-            warn(
-                f"realtime.priority: {wanted.priority} not obtained, {error.strerror}; "
-                "the limit is 'ulimit -r' (rtprio)"
-            )
-    if wanted.cpus:
-        try:
-            for_each(threads, lambda thread: os.sched_setaffinity(thread, wanted.cpus))
-        except OSError as error:
-            warn(f"realtime.cpus: {wanted.cpus} not obtained, {error.strerror}")
+    param = os.sched_param(wanted.priority)
+    for name, value, hint, ask in (
+        ("priority", wanted.priority, "; the limit is 'ulimit -r' (rtprio)",
+         lambda thread: os.sched_setscheduler(thread, os.SCHED_FIFO, param)),
+        ("cpus", wanted.cpus, "", lambda thread: os.sched_setaffinity(thread, wanted.cpus)),
+    ):  # fmt: skip
+        if value:
+            try:
+                for_each(threads, ask)
+            except OSError as error:
+                warn(f"realtime.{name}: {value} not obtained, {error.strerror}{hint}")
 
 
 def obtained() -> dict[str, str]:

@@ -12,9 +12,9 @@ from heapq import merge
 from itertools import count
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
@@ -24,7 +24,6 @@ from valve_control.control.parameters.table import RECORDER
 from valve_control.inputs import expanded
 from valve_control.nodes.adapter import (
     EVERYTHING,
-    SAMPLES,
     UNKNOWN,
     Diagnostics,
     ParameterSet,
@@ -33,12 +32,11 @@ from valve_control.nodes.adapter import (
 )
 from valve_control.nodes.definitions import Definition, Definitions, message_class
 from valve_control.nodes.loop import Failure, Worker, run
-from valve_control.nodes.parameter_capture import EVENTS, ParameterCapture
+from valve_control.nodes.parameter_capture import EVENTS, ParameterCapture, full_name
 from valve_control.parameter import ParameterError, Values, items, word
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.writer import BagWriter, check, usual
 
-T = TypeVar("T", bound=tuple[Any, ...])
 DIAGNOSTICS = "/diagnostics"
 EVENT_TYPE = "rcl_interfaces/msg/ParameterEvent"
 # What is recorded unless ``topics`` says otherwise, with the types that the nodes of this package use.
@@ -70,11 +68,8 @@ class Settings(NamedTuple):
 
     folder: Path
     storage: str
-    compression: str
     patterns: Sequence[re.Pattern[str]]
     chosen: bool  # whether the patterns are the user's
-    flush_period: float  # s
-    min_free: float  # bytes
 
 
 def settings(values: Values) -> Settings:
@@ -93,15 +88,8 @@ def settings(values: Values) -> Settings:
         except re.error as error:
             raise ParameterError(f"topics has '{text}', which is no regular expression: {error}") from error
     bag = word(values, "bag")
-    return Settings(
-        folder=expanded(bag, "bag") if bag else unused(time.strftime("valve_bag_%Y%m%d_%H%M%S")),
-        storage=storage,
-        compression=compression,
-        patterns=patterns,
-        chosen=bool(chosen),
-        flush_period=parameter.number(values, "flush_period"),
-        min_free=parameter.number(values, "min_free") * MB,
-    )
+    folder = expanded(bag, "bag") if bag else unused(time.strftime("valve_bag_%Y%m%d_%H%M%S"))
+    return Settings(folder, storage, patterns, bool(chosen))
 
 
 def unused(name: str) -> Path:
@@ -136,14 +124,6 @@ def wanted(profiles: Sequence[QoSProfile]) -> tuple[ReliabilityPolicy, Durabilit
         ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
-
-
-def merged(queues: Sequence[Sequence[T]]) -> list[T]:
-    """Entries of several queues by the time at their beginning, each queue's in its order.
-
-    A clock that is set back while they wait does not turn a queue's order around.
-    """
-    return list(merge(*queues, key=itemgetter(0)))
 
 
 class Recorded:
@@ -207,28 +187,30 @@ class Recorder(Worker):
     def __init__(self) -> None:
         super().__init__("recorder")
         fixed = {parameter.name for parameter in RECORDER}
-        self._settings: Settings = ParameterSet(self, RECORDER, settings, fixed=fixed).built
-        use = self._settings
+        chosen = ParameterSet(self, RECORDER, settings, fixed=fixed)
+        use = self._settings = chosen.built
+        self._flush_period = parameter.number(chosen.values, "flush_period")
+        self._min_free = parameter.number(chosen.values, "min_free")  # MB
         self._topics: dict[str, Recorded] = {}
         self._left_out: set[str] = set()
         self._overlooked: dict[str, str] = {}  # what a controller takes and no pattern names → what is said
         self._warnings: set[str] = set()  # that hold now
         self._logged: set[str] = set()  # warnings
-        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
+        self._diagnostics = Diagnostics(self)
         self._definitions = Definitions()
         self._failed = False
         self._unnumbered = False  # whether there is a topic whose messages have no numbers
         if reason := self._short_of_room(use.folder.absolute().parent):
             raise Failure(reason)
         try:
-            self._writer = BagWriter(use.folder, use.storage, compression=use.compression)
+            self._writer = BagWriter(use.folder, use.storage, compression=word(chosen.values, "compression"))
         except BagError as error:
             raise ParameterError(str(error)) from error
         self._captured = ParameterCapture(self, self._write_parameters)
         self._record(EVENTS, EVENT_TYPE, self.get_publishers_info_by_topic(EVENTS))
         now = time.monotonic()
         self._next = self._look_at = now
-        self._flush_at = now + use.flush_period
+        self._flush_at = now + self._flush_period
         self._status_at = now
         self.get_logger().info(f"records into {outputs.shown(use.folder)}")
 
@@ -251,7 +233,7 @@ class Recorder(Worker):
                 self._look()
             self._captured.collect()
             if now >= self._flush_at:
-                self._flush_at = now + self._settings.flush_period
+                self._flush_at = now + self._flush_period
                 self._writer.check_place()
                 self._writer.flush()
                 if reason := self._short_of_room(self._settings.folder):
@@ -263,7 +245,7 @@ class Recorder(Worker):
         return taken
 
     def _take(self) -> bool:
-        """Write all waiting messages in the order of their arrival."""
+        """Write all waiting messages in the order of their arrival, each topic's in its own."""
         taken = [
             [
                 (info["received_timestamp"] or time.time_ns(), topic, data, info)
@@ -272,7 +254,7 @@ class Recorder(Worker):
             for topic in self._topics.values()
             if topic.subscription is not None
         ]
-        for received, topic, data, info in merged(taken):
+        for received, topic, data, info in merge(*taken, key=itemgetter(0)):
             self._write(topic, received, data, info)
         return any(taken)
 
@@ -295,11 +277,11 @@ class Recorder(Worker):
         while not folder.exists():
             folder = folder.parent
         free = shutil.disk_usage(folder).free
-        if free >= self._settings.min_free:
+        if free >= self._min_free * MB:
             return ""
         return (
             f"the recording ends: the disk of {folder} has {free / MB:.0f} MB free, "
-            f"less than min_free, {self._settings.min_free / MB:g} MB"
+            f"less than min_free, {self._min_free:g} MB"
         )
 
     def _fail(self, reason: str) -> NoReturn:
@@ -327,9 +309,8 @@ class Recorder(Worker):
                 for data, info in topic.adapt([info.qos_profile for info in ours]) if ours else ():
                     self._write(topic, info["received_timestamp"] or time.time_ns(), data, info)
             warnings |= {
-                f"{name} is published as {info.topic_type} by "
-                f"{info.node_namespace.rstrip('/')}/{info.node_name}: these messages are not recorded, "
-                f"the bag takes {type_name}"
+                f"{name} is published as {info.topic_type} by {full_name(info)}: "
+                f"these messages are not recorded, the bag takes {type_name}"
                 for info in infos
                 if info.topic_type != type_name
             }

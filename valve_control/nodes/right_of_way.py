@@ -53,7 +53,7 @@ class Rivals:
         self._state = ACTIVE
         self._active_since = NEVER  # s
         self._gid = b""  # of this controller's publisher
-        self._given = 0  # voltages of this controller
+        self.given = 0  # voltages of this controller
         self._subscription: NumberSubscription | None = None
         self._end = 0.0  # s  of the window
         self._heard, self._given_before = 0, 0  # voltages in it, and of this controller before it
@@ -76,10 +76,6 @@ class Rivals:
         """The controller begins to control."""
         self._state, self._active_since = ACTIVE, NEVER
 
-    def gave(self) -> None:
-        """The controller has given a voltage."""
-        self._given += 1
-
     def answered(self, now: float) -> None:
         """The controller has answered a reading at ``now`` [s]."""
         if self._active_since == NEVER:
@@ -96,7 +92,7 @@ class Rivals:
 
     def _begin_window(self, now: float, period: float) -> None:
         self._end = now + max(WINDOW, WINDOW_PERIODS * period)
-        self._heard, self._given_before = 0, self._given
+        self._heard, self._given_before = 0, self.given
 
     def changed(self, period: float) -> bool:
         """Whether ``stands_by`` is another one than before, since others give voltages or do not."""
@@ -107,7 +103,7 @@ class Rivals:
         if now < self._end:
             return False
         before, first = self.stands_by, min(self.publishers(), default=b"")
-        others = self._heard - (self._given - self._given_before)
+        others = self._heard - (self.given - self._given_before)
         self._state = step(self._state, others, now - self._active_since, self._gid <= first)
         self._begin_window(now, period)
         return self.stands_by != before

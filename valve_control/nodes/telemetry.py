@@ -80,14 +80,10 @@ class JournalTopics:
         self._journal = journal
         self._supervisor = supervisor
         self._message = Float64MultiArray()
-        self._period = 0.0  # s  of the snapshots; 0.0: nothing is published
+        self.period = 0.0  # s  of the snapshots; 0.0: nothing is published
         self._accounted = -math.inf  # s, last snapshot
         self._readers = 0
         self._greeting = 0  # parts of the journal that still bring a snapshot
-
-    def apply(self, period: float) -> None:
-        """Take the ``period`` [s] of the snapshots into use."""
-        self._period = period
 
     def open(self) -> None:
         """Create the publishers."""
@@ -119,14 +115,14 @@ class JournalTopics:
         if not self._node.configured:
             return
         rows = self._journal.take()
-        if self._period == 0.0 or self._count_readers() == 0:
+        if self.period == 0.0 or self._count_readers() == 0:
             return
         if rows:
             self._message.data = rows
             self.publisher.publish(self._message)
         now = time.monotonic()
         journal = self._journal
-        if journal.owes_account or now - self._accounted >= self._period:
+        if journal.owes_account or now - self._accounted >= self.period:
             self._accounted, journal.owes_account = now, False
             account = snapshot(self._supervisor, journal.run, journal.count)
             self._memories.publish(String(data=account))

@@ -1,17 +1,13 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Sees to what the middleware needs of a process: how Fast DDS carries its messages, and where it may log."""
+"""Chooses how Fast DDS carries the messages of a process."""
 
 import os
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 
-from valve_control.parameter import ParameterError
-
 ANYWHERE = str(Path(__file__).with_name("fast_dds.xml"))
-THIS_HOST = str(
-    Path(__file__).with_name("fast_dds_this_host.xml")
-)  # the same, and discovery on this host alone
+THIS_HOST = str(Path(__file__).with_name("fast_dds_this_host.xml"))  # discovery on this host alone
 VERSION_2, VERSION_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
 OWN_CHOICE = (VERSION_2, VERSION_3, "FASTDDS_BUILTIN_TRANSPORTS")
 # In the working folder, which Fast DDS reads by itself.
@@ -44,18 +40,3 @@ def use_own_profile(environment: MutableMapping[str, str]) -> None:
         environment[variable] = THIS_HOST
     elif THIS_HOST not in choices or environment.get(RANGE) != "SYSTEM_DEFAULT":
         environment[variable] = ANYWHERE
-
-
-def check_log_folder(environment: Mapping[str, str]) -> None:
-    """Raise ParameterError if there is no folder for the logs of ROS, before rcl says so without its name."""
-    home, ros_home = environment.get("HOME"), environment.get("ROS_HOME")
-    below = ros_home or (f"{home}/.ros" if home else "")
-    folder = environment.get("ROS_LOG_DIR") or (f"{below}/log" if below else "")
-    if not folder:
-        raise ParameterError("ROS writes its logs below HOME, which is not set; set HOME or ROS_LOG_DIR")
-    try:
-        Path(folder).expanduser().mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        text = f"the folder of ROS's logs, {folder}, cannot be made: {reason}; set ROS_LOG_DIR"
-        raise ParameterError(text) from error

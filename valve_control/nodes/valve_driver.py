@@ -13,12 +13,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.clock import Clock, ClockType
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
-from std_srvs.srv import SetBool
 
 from valve_control.control.drivers import trial
 from valve_control.control.drivers.driver import Condition, DriverError
@@ -68,30 +65,23 @@ class ValveDriver(DeviceNode):
         self._arrivals: deque[float] = deque(maxlen=WINDOW)
         self._answers: deque[float] = deque(maxlen=WINDOW)  # s from a reading to its voltage
         self._counts = dict.fromkeys(("late_voltages", "voltage_refused", "voltage_timeouts"), 0)
-        self._realtime: realtime.Request | None = None
-        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
+        self._diagnostics = Diagnostics(self, self._diagnose)
         ParameterSet(self, VALVE_DRIVER, self._build, self._apply)
-        self.create_service(SetBool, "~/enable", self._on_enable)
-        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self.device_values["autostart"]:
             self.autostart()
         else:
             self.get_logger().info("unconfigured, waits for lifecycle transitions")
 
-    def _build(self, values: Values) -> realtime.Request:
+    def _build(self, values: Values) -> None:
         self.refuse_changes(values)
         drivers.device(values)
-        return realtime.request(values)
 
-    def _apply(self, values: Values, wanted: realtime.Request) -> None:
+    def _apply(self, values: Values, built: None) -> None:
         self.use(values)
         self._watchdog = number(values, "watchdog")
         self._wait = number(values, "answer_share") * number(values, "sample_period")
         if self.working and self._begun and self._on != (values["enable"] is True):
             self._switch(values["enable"] is True)
-        if wanted != self._realtime:
-            self._realtime = wanted
-            realtime.obtain(wanted, self.get_logger().warning)
 
     # Life
 
@@ -119,9 +109,8 @@ class ValveDriver(DeviceNode):
         self._switch(False)
 
     def _switch(self, on: bool) -> None:
-        assert self._device is not None
         self._on = on
-        self._device.enable(on)
+        self.device.enable(on)
         self._voltage, self._fed, self._voltage_at = 0.0, False, -NEVER
 
     # Work
@@ -138,7 +127,6 @@ class ValveDriver(DeviceNode):
         """Give the voltage, wait for the next reading and publish it."""
         if not self.working:
             return False
-        assert self._device is not None
         if not self._begun:
             self._begun = True
             self._switch(self.device_values["enable"] is True)
@@ -147,7 +135,7 @@ class ValveDriver(DeviceNode):
                 self._answers.append(time.monotonic() - self._published)
         else:
             self._repeat()
-        reading = self._device.read()
+        reading = self.device.read()
         if reading is None:
             self._quiet += 1
             self._next = 0.0
@@ -166,7 +154,6 @@ class ValveDriver(DeviceNode):
 
     def _take_voltage(self) -> bool:
         """Give the newest voltage that has come; returns whether one has."""
-        assert self._device is not None
         waiting = [voltage for voltage, _ in self._voltages.take()]
         if not waiting:
             return False
@@ -176,17 +163,16 @@ class ValveDriver(DeviceNode):
             self._refused, self._refused_until = taken, time.monotonic() + 1.0
             taken = 0.0
         self._voltage, self._fed, self._voltage_at = taken, True, time.monotonic()
-        self._device.write(taken)
+        self.device.write(taken)
         return True
 
     def _repeat(self) -> None:
         """Give the last voltage again, which the card's own watchdog waits for; 0 V after this one's time."""
-        assert self._device is not None
         if self._fed and time.monotonic() - self._voltage_at > self._watchdog:
             self._fed = False
             self._voltage = 0.0
             self._counts["voltage_timeouts"] += 1
-        self._device.write(self._voltage)
+        self.device.write(self._voltage)
 
     def report(self) -> None:
         """Log and publish the conditions if they have changed."""
@@ -200,8 +186,7 @@ class ValveDriver(DeviceNode):
 
     def _conditions(self) -> tuple[Condition, ...]:
         """What is wrong now, worst first."""
-        assert self._device is not None
-        found = self._device.conditions()
+        found = self.device.conditions()
         own: list[Condition] = []
         if not self._on:
             own.append(
@@ -217,25 +202,12 @@ class ValveDriver(DeviceNode):
             own.append(Condition("no_reading", "safe", "the device gives no readings"))
         return tuple(sorted((*found, *own), key=lambda c: c.level, reverse=True))
 
-    # Services and diagnostics
-
-    def _on_enable(self, request: Any, response: Any) -> Any:
-        (result,) = self.set_parameters([Parameter("enable", value=bool(request.data))])
-        device = self._device if self.working and self._begun else None
-        faults = [c.text for c in (device.conditions() if device else ()) if c.level == "safe"]
-        response.success = result.successful and not faults
-        told = "output on" if request.data else "output off"
-        if request.data and not self.working:
-            told = "the node is not active: the output comes on when it is"
-        response.message = result.reason or "; ".join(faults) or told
-        return response
+    # Diagnostics
 
     def _diagnose(self) -> None:
         level, text = DiagnosticStatus.OK, "driving"
         conditions: tuple[Condition, ...] = ()
-        if not self.working:
-            text = "inactive" if self._device is not None else "unconfigured"
-        elif conditions := self._conditions():
+        if self.working and (conditions := self._conditions()):
             level, text = LEVELS[conditions[0].level], "; ".join(c.text for c in conditions)
         elif not self._fed:
             text = "waiting for valve_voltage, the output is at 0 V"

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.clock import Clock, ClockType
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_msgs.msg import Float64
@@ -38,7 +37,7 @@ STALL = 0.1  # s; a longer pause of the process is skipped, not made good
 MOST_AT_ONCE = 50  # samples
 KNOCK = 0.01  # s between two looks whether the listeners are there
 MEET = 5.0  # s; lockstep: a controller that is there has so long to become ready for readings
-WAIT = 1.0  # s; lockstep: between two looks at who might answer a reading without an answer
+WAIT = 1.0  # s; lockstep: between two warnings that a reading has no answer
 CORRUPT = b""  # a frame that DDS cannot read and drops: its sequence number is missing at the receiver
 BEYOND = 1.5  # times u_max, a reading out of range
 WEAK = 0.2  # of the gain, a weak solenoid
@@ -54,8 +53,7 @@ class ValveSimulator(Managed):
                      that the operating system has put aside, so that the simulated one holds back sample
                      k+1 for up to `patience`.
     clock: lockstep  sample k+1 follows as soon as the voltage of sample k is there, however long it takes,
-                     and `/clock` goes with the samples. A reading is sent again only to a controller that was
-                     not there when it was sent: any other has it, and would take it for one more.
+                     and `/clock` goes with the samples.
 
     ``alone``: whether the process has no other node.
     """
@@ -75,33 +73,28 @@ class ValveSimulator(Managed):
         self._samples = 0
         self._sent: float | None = None
         self._complete_since = 0.0  # lockstep: when enough listeners had come
-        self._asked: set[bytes] = set()  # lockstep: who was there to answer
-        self._there: set[bytes] = set()  #           and at the last look
         self._fault = ("none", "none")
         self._fault_left = 0
-        self._second: Any = None
-        self._realtime: realtime.Request | None = None
         self._counts = dict.fromkeys(
-            ("late_voltages", "voltage_refused", "voltage_timeouts", "samples_skipped", "resent"), 0
+            ("late_voltages", "voltage_refused", "voltage_timeouts", "samples_skipped"), 0
         )
         self._clock_message = ClockMessage()
-        self._diagnostics = Diagnostics(self, self.create_publisher(DiagnosticArray, "/diagnostics", SAMPLES))
+        self._diagnostics = Diagnostics(self, self._diagnose)
         ParameterSet(self, VALVE, self._build, self._apply, alone)
-        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         for sentence in registry.REFUSED:
             self.get_logger().warning(sentence)
         if self._values["autostart"]:
             self.autostart()
 
-    def _build(self, values: Values) -> tuple[Any, realtime.Request]:
+    def _build(self, values: Values) -> Any:
         if values["clock"] == "lockstep" and values["fault.lvdt"] == "lost":
             raise ParameterError(
                 "fault.lvdt is lost, but in lockstep no reading can be: choose silent, or clock wall"
             )
-        return build.valve_params(values), realtime.request(values)
+        return build.valve_params(values)
 
-    def _apply(self, values: Values, built: tuple[Any, realtime.Request]) -> None:
-        former, (self._params, wanted) = self._params, built
+    def _apply(self, values: Values, built: Any) -> None:
+        former, self._params = self._params, built
         self._values = values
         self._patience = number(values, "patience")
         self._timeout = number(values, "voltage_timeout")
@@ -129,16 +122,8 @@ class ValveSimulator(Managed):
             self._fault = fault
             injected = fault != ("none", "none")
             self._fault_left = int(number(values, "fault.samples")) if injected else 0
-            if "second_publisher" in fault and self._second is None:
-                self._second = self.create_publisher(Float64, "spool_position", SAMPLES)
-            elif "second_publisher" not in fault and self._second is not None:
-                self.destroy_publisher(self._second)
-                self._second = None
         if "weak" in fault:
             self._params = self._plant.varied(self._params, WEAK, 0.0, 1.0)
-        if wanted != self._realtime:
-            self._realtime = wanted
-            realtime.obtain(wanted, self.get_logger().warning)
 
     def _sow(self) -> None:
         self._seed = int(number(self._values, "seed"))
@@ -217,7 +202,11 @@ class ValveSimulator(Managed):
         elif self._poll_voltage() or self._sent is None:
             self._advance()
         else:
-            return time.monotonic() >= self._next and self._ask_newcomer()
+            if time.monotonic() >= self._next:
+                self._next = time.monotonic() + WAIT
+                text = f"lockstep: no voltage for sample {self._samples} within {WAIT:g} s; waits"
+                self.get_logger().warning(text)
+            return False
         if self._clock_publisher is None:
             self._clock_publisher = self.create_publisher(ClockMessage, "/clock", 1)
         nanoseconds = round(self._samples * self._period * 1e9)
@@ -229,31 +218,12 @@ class ValveSimulator(Managed):
 
     def _complete(self) -> bool:
         """Whether all wanted listeners are there, among them a controller."""
-        self._asked = self._answering()
         now = time.monotonic()
-        if not self._asked or self._positions.get_subscription_count() < self._listeners:
+        heard = self._positions.get_subscription_count() >= self._listeners
+        if not (heard and self.count_publishers("valve_voltage")):
             self._complete_since = now
             return False
         return now - self._complete_since > MEET or acquainted(self, self._positions, "valve_voltage")
-
-    def _answering(self) -> set[bytes]:
-        """Publishers of voltages."""
-        return {bytes(info.endpoint_gid) for info in self.get_publishers_info_by_topic("valve_voltage")}
-
-    def _ask_newcomer(self) -> bool:
-        """Send the reading again if a controller has come since; returns whether it was sent."""
-        self._next = time.monotonic() + WAIT
-        before, self._there = self._there, self._answering()
-        # At the second look, when discovery has become mutual.
-        new = bool(self._there & before - self._asked)
-        text = f"lockstep: no voltage for sample {self._samples} within {WAIT:g} s"
-        self.get_logger().warning(f"{text}; sent again, to a new controller" if new else f"{text}; waits")
-        if new:
-            assert self._sent is not None
-            self._asked |= self._there
-            self._counts["resent"] += 1
-            self._positions.publish(encoded(self._sent))
-        return new
 
     def _advance(self) -> None:
         before = self._state
@@ -339,9 +309,7 @@ class ValveSimulator(Managed):
             "fault.valve": self._fault[1],
         }
         level, text = DiagnosticStatus.OK, "simulating"
-        if not self.working:
-            text = "inactive" if self.configured else "unconfigured"
-        elif self._centring:
+        if self._centring:
             level, text = DiagnosticStatus.ERROR, "no voltage: 0 V, the spring centres the spool"
         elif self._fault != ("none", "none"):
             level, text = DiagnosticStatus.WARN, "simulating a fault"

@@ -66,7 +66,7 @@ COMMAND: Table = (
         "none",
         "",
         "injected fault of the command",
-        choices=("none", "silent", "not_finite", "out_of_range", "second_publisher"),
+        choices=("none", "silent", "not_finite", "out_of_range"),
         node_only=True,
     ),
     FAULT_SAMPLES,

@@ -75,13 +75,9 @@ VALVE_DRIVER: Table = (
     *REALTIME,
     *KINDS_PARAMETERS,
 )
-DECIMATION = Parameter(
-    "signal_decimation", 1, "", "publish every n-th reading and voltage; the journal has all", 1, 1000
-)
-DEVICE: Table = (DRIVER, DECIMATION, *SIDES, *KINDS_PARAMETERS)  # of a controller that has the device itself
+DEVICE: Table = (DRIVER, *SIDES, *KINDS_PARAMETERS)  # of a controller that has the device itself
 LIVE = frozenset(
     {"enable", "watchdog", "answer_share", "position.low", "position.high", "voltage.low", "voltage.high"}
-    | {DECIMATION.name}
     | {parameter.name for parameter in REALTIME}
 )  # what a running driver takes
 

@@ -73,7 +73,6 @@ VALVE: Table = (
             "jump",
             "flipped",
             "half",
-            "second_publisher",
         ),
         node_only=True,
     ),

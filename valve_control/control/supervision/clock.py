@@ -7,7 +7,6 @@ follows offset and drift: a second-order loop on innovations that are limited, s
 move it. The smallest residual of the last messages lowers the line to the smallest delay, as NTP and PTP do.
 """
 
-import math
 from typing import NamedTuple
 
 OFFSET = 0.5  # s  time constant of the line's offset
@@ -44,19 +43,16 @@ def step(s: State, time: float, difference: float) -> State:
     if s.messages == 0.0 or innovation > LEAP or innovation < -EARLY or elapsed > OFFSET:
         return State(time, difference, s.drift, 1.0, 0.0, 0.0, time, 0.0)
     messages = s.messages + 1.0
-    if abs(innovation) > LIMIT:  # these three are quicker than min and max
-        innovation = math.copysign(LIMIT, innovation)
-    share, first = elapsed / OFFSET, 1.0 / messages
-    offset = line + (share if share > first else first) * innovation
-    drift = s.drift + elapsed / (DRIFT * DRIFT) * innovation
-    if abs(drift) > LARGEST:
-        drift = math.copysign(LARGEST, drift)
+    innovation = max(-LIMIT, min(LIMIT, innovation))
+    first = 1.0 / messages
+    offset = line + max(elapsed / OFFSET, first) * innovation
+    drift = max(-LARGEST, min(LARGEST, s.drift + elapsed / (DRIFT * DRIFT) * innovation))
     residual = difference - offset
-    smallest, former, begin = residual if residual < s.smallest else s.smallest, s.former, s.begin
+    smallest, former, begin = min(s.smallest, residual), s.former, s.begin
     if time - begin > WINDOW:
         smallest, former, begin = residual, s.smallest, time
     share = max(first, min(1.0, elapsed / SETTLING))
-    lowered = s.lowered + share * ((smallest if smallest < former else former) - s.lowered)
+    lowered = s.lowered + share * (min(smallest, former) - s.lowered)
     return State(time, offset, drift, messages, smallest, former, begin, lowered)
 
 

@@ -20,9 +20,7 @@ EVERY = 4.0  # blocks of the plausibility check, of which one counts
 FORGET = 70.0  # of the sums, moved time in units of 1/√a0
 SLOW = 0.35  # frequency of a motion that counts, in units of √a0
 ENOUGH = 0.5  # of the moved time FORGET, from which on a slope is known
-LARGE = (
-    0.7  # V  least standard deviation of the readings; friction makes the slope of smaller motions uncertain
-)
+LARGE = 0.7  # V  least standard deviation of the readings; friction makes smaller motions uncertain
 CHANGED = 1.5  # factor that is reported
 BACK = 1.3  # factor below which the report ends
 LASTING = 1.0  # of the moved time FORGET, for which it must be there

@@ -33,11 +33,12 @@ PUSHED = 3.0  # tolerances that a voltage beyond every disturbance must have mov
 INSIDE = 0.85  # of the limit; nearer to it a spool may stop dead at the end of its stroke
 LATEST = 0.05  # s  by which readings that jumped may be late
 TEXTS = {
-    "not_finite": "LVDT readings are not finite",
-    "out_of_range": "LVDT readings are out of range",
-    "jump": "LVDT readings jump faster than the spool can move",
-    "frozen": "LVDT readings stand still while the voltage moves: frozen LVDT or stuck spool",
-    "silent": "LVDT is silent",
+    "lvdt_not_finite": "LVDT readings are not finite",
+    "lvdt_out_of_range": "LVDT readings are out of range",
+    "lvdt_jump": "LVDT readings jump faster than the spool can move",
+    "lvdt_frozen": "LVDT readings stand still while the voltage moves: frozen LVDT or stuck spool",
+    "lvdt_silent": "LVDT is silent",
+    "stalled": "the controller's process stood still",
     "disagrees": "LVDT readings disagree with the voltage",
     "doubted": "LVDT readings were wrong; motion has not shown yet that they agree with the voltage again",
 }
@@ -163,7 +164,7 @@ def lateness(s: State) -> str:
 def step(
     p: Params, s: State, reading: float, missed: int, voltage: float, blocked: bool, elapsed: float
 ) -> tuple[str, State]:
-    """``SOUND`` or the name of what is wrong with ``reading`` [V].
+    """``SOUND`` or the condition of what is wrong with ``reading`` [V].
 
     ``missed``: samples lost before it; ``voltage`` [V]: applied until now; ``blocked``: whether the
     voltage is off already, so that a reading is compared with the one just before it, not with the
@@ -171,14 +172,12 @@ def step(
     """
     last, age, raw, had_jumped, equal, lowest, highest, frozen_at, known, rate, surprise, leap, standing = s
     speed = rate
-    since = (1 + missed) * p.period
-    if elapsed > since:
-        since = elapsed
+    since = max((1 + missed) * p.period, elapsed)
     age += since
     if not math.isfinite(reading):
-        return "not_finite", s._replace(age=age)
+        return "lvdt_not_finite", s._replace(age=age)
     if abs(reading) > p.limit:
-        return "out_of_range", s._replace(age=age)
+        return "lvdt_out_of_range", s._replace(age=age)
     jumped = last is not None and abs(reading - last) > p.max_rate * age + p.tolerance
     if blocked or jumped or last is None:
         known, rate, surprise, leap = 0, 0.0, 0.0, 0.0
@@ -204,16 +203,16 @@ def step(
     if not blocked and (
         jumped or (had_jumped and raw is not None and abs(reading - raw) <= p.max_rate * since + p.tolerance)
     ):
-        return "jump", State(
+        return "lvdt_jump", State(
             last, age, reading, True, equal, lowest, highest, frozen_at, known, rate, surprise, leap, standing
         )
     if last is not None:
         standing = followed(p, standing, reading - last, speed, age)
     fault = SOUND
     if reading == frozen_at:
-        fault = "frozen"
+        fault = "lvdt_frozen"
     elif reading != last:
-        fault = "jump" if jumped else SOUND
+        fault = "lvdt_jump" if jumped else SOUND
         equal, lowest, highest, frozen_at = 0, voltage, voltage, None
     else:
         equal, frozen_at = equal + 1 + missed, None
@@ -225,7 +224,7 @@ def step(
                 equal, lowest, highest = 0, voltage, voltage
                 standing = standing._replace(begun=0.0, pulled=0, pushed_rate=0.0, pushed=0.0)
             else:
-                fault, frozen_at = "frozen", reading
+                fault, frozen_at = "lvdt_frozen", reading
     return fault, State(
         reading, 0.0, reading, False, equal, lowest, highest, frozen_at, known, rate, surprise, leap, standing
     )

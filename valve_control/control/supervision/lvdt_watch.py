@@ -96,18 +96,3 @@ def design(values: Values, params: Any) -> Params:
         hold_off_limit=number(values, "lvdt.hold_off_limit"),
         period=period,
     )
-
-
-def weighed(
-    p: plausibility.Params | None,
-    s: plausibility.State | None,
-    reading: float,
-    applied: float,
-    samples: int,
-) -> plausibility.State | None:
-    """Evidence with one more ``reading`` [V], before which ``applied`` [V] was on for ``samples`` periods."""
-    if p is None:
-        return s
-    if s is None:
-        s = plausibility.initial(p, reading, applied)
-    return plausibility.step(p, s, reading, applied, float(samples))

@@ -51,9 +51,7 @@ class State(NamedTuple):
     quick: int = 0  # readings of the open window that came quickly
     share: float = 0.0  # of quick readings in the last window
     crowded: int = 0  # windows in a row with bursts, at most CROWDED_FOR
-    passing: int = (
-        BURST + 1
-    )  # readings that may still pass before a window is open, the first at any rate; 0: open
+    passing: int = BURST + 1  # readings that may pass before a window is open, the first at any rate; 0: open
 
 
 UNKNOWN = State(0.0, 0, (), 0, 0)
@@ -71,9 +69,7 @@ def step(p: Params, s: State, elapsed: float, periods: int) -> State:
     mean = time / count
     in_time = not quickly and elapsed <= LATE * mean * periods
     if count < LEAST or time < length or not (in_time or count >= 2 * LEAST and time >= 2.0 * length):
-        return State(
-            time, count, s.means, s.off, s.level, quick, s.share, s.crowded, s.passing
-        )  # quicker than _replace
+        return s._replace(time=time, periods=count, quick=quick)
     share = quick / count
     crowded = min(s.crowded + 1, CROWDED_FOR) if share > CROWDED else 0
     s = State(0.0, 0, (*s.means[1 - WINDOWS :], mean), s.off, s.level, 0, share, crowded, 0)

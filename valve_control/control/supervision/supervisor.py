@@ -16,7 +16,6 @@ Time is counted in samples, so that a run is repeatable; only the silence of the
 comes, has to be told from outside (``silence``). Each input is noted with its answer (journal.py).
 """
 
-import copy
 import math
 import types
 from collections.abc import Callable
@@ -37,7 +36,7 @@ from valve_control.control.supervision import (
     trajectory,
     watch,
 )
-from valve_control.control.supervision.journal import OBSERVED, TYPES, Event, Journal
+from valve_control.control.supervision.journal import OBSERVED, TYPES, Event
 from valve_control.control.supervision.record import (
     HEAD,
     Memory,
@@ -53,11 +52,6 @@ from valve_control.parameter import Values, number, word
 
 def unused(*values: Any, **named: Any) -> None:
     """Placeholder for a receiver of the voltage or of rows, where nobody needs them."""
-
-
-def are_finite(voltage: float, terms: tuple[float, ...]) -> bool:
-    """Whether ``voltage`` [V] and each of ``terms`` are finite: a finite sum has finite parts."""
-    return math.isfinite(voltage + sum(terms)) or watch.are_finite(voltage, terms)
 
 
 class Supervisor:
@@ -151,7 +145,7 @@ class Supervisor:
         another_curve = bool(self._form) and line != self._form[2]
         same_reference = before is not None and before.reshapes(former)
         if law is not before or line != self._form[2]:
-            own = {"hand_out": self._hand_out, "observe": self._observe, "are_finite": are_finite}
+            own = {"hand_out": self._hand_out, "observe": self._observe}
             self._steps = watch.with_places({**watch.places_of(law, line), **own})
             self._sample = self._steps.sample
         self._descriptor = law
@@ -299,22 +293,6 @@ class Supervisor:
         self._hand_out(voltage)
         self._note(Event.READING, reading, sequence, elapsed, voltage)
         return voltage
-
-    def rehearse(self) -> None:
-        """Repeat command and sample on a copy of the memory, so that their code is in the CPU's caches.
-
-        Between two readings a process sleeps, and others take the caches (docs/explanation/profile.md).
-        """
-        real = self.memory, self._note, self._terms
-        if self.memory.law is not None:
-            self.memory, self._note = copy.copy(self.memory), Journal().note
-            self.memory.counts = dict(self.memory.counts)
-            try:
-                if self.memory.command.value is not None:
-                    self.command(self.memory.command.value)
-                self.sample(self.memory.measurement, (self.memory.sequence or 0) + 1)
-            finally:
-                self.memory, self._note, self._terms = real
 
     def _tell_bursts(self, pace: rate.State) -> None:
         """Report whether readings come in bursts, after a window of their period."""

@@ -150,7 +150,7 @@ def observe(m: Memory, terms: Any, voltage: float) -> None:
 
 
 def are_finite(voltage: float, terms: Any) -> bool:
-    """Whether a law's ``voltage`` [V] and each of its ``terms`` are finite; place of a quicker way, too."""
+    """Whether a law's ``voltage`` [V] and each of its ``terms`` are finite."""
     return math.isfinite(voltage) and all(map(math.isfinite, terms))
 
 
@@ -264,17 +264,10 @@ def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
     m.course = None
     m.trust = m.trust._replace(sound=0)
     if m.trust.blocked == "" and m.law is not None:
+        name = "stalled" if stalled else "lvdt_silent"
         leapt = has_leapt(m)
-        if stalled:
-            switch_off(p, m, "stalled", leapt)
-            report(
-                m,
-                "stalled",
-                f"the controller's process stood still for more than {p.lvdt.hold_samples} samples",
-            )
-        else:
-            switch_off(p, m, "lvdt_silent", leapt)
-            report(m, "lvdt_silent", f"{lvdt.TEXTS['silent']} for more than {p.lvdt.hold_samples} samples")
+        switch_off(p, m, name, leapt)
+        report(m, name, f"{lvdt.TEXTS[name]} for more than {p.lvdt.hold_samples} samples")
     return 0.0
 
 
@@ -322,7 +315,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     if m.trust.blocked != "":
         back = recover(p, m, reading, gap > 0 or unpaced or m.now < m.pause.until)
         if not back:
-            m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
+            weigh(p, m, reading, applied, 1 + gap)
             return sent(p, m)
     elif not answers(p, m, reading, 1 + gap):
         return sent(p, m)
@@ -333,7 +326,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     voltage = m.voltage
     m.measurement = reading
     m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, reading)
-    m.evidence = lvdt_watch.weighed(p.lvdt.comparison, m.evidence, reading, applied, 1 + gap)
+    weigh(p, m, reading, applied, 1 + gap)
     if m.evidence is not None and m.evidence.held == 0.0:
         watch_block(p, m, applied, m.evidence.shown)
         confront(p, m)
@@ -379,30 +372,19 @@ def sent(p: Params, m: Memory) -> float:
 # Readings that cannot be believed, or do not come
 
 
-def condition_of(fault: str) -> str:
-    """Name of the condition of a reading's ``fault``."""
-    if fault == "not_finite":
-        return "lvdt_not_finite"
-    if fault == "out_of_range":
-        return "lvdt_out_of_range"
-    if fault == "jump":
-        return "lvdt_jump"
-    return "lvdt_frozen"
-
-
 def refuse(p: Params, m: Memory, fault: str, lost: int) -> None:
     """Bridge a reading that cannot be believed, or switch off if there have been too many."""
     count(m, "lvdt_refused")
     m.trust = m.trust._replace(bridged=m.trust.bridged + 1 + lost, sound=0)
     if m.trust.blocked != "":
         return
-    if fault == "frozen" or m.trust.bridged > p.lvdt.hold_samples:
-        switch_off(p, m, condition_of(fault), False)
-        report(m, condition_of(fault), f"{lvdt.TEXTS[fault]}{lvdt.lateness(m.judged)}")
+    if fault == "lvdt_frozen" or m.trust.bridged > p.lvdt.hold_samples:
+        switch_off(p, m, fault, False)
+        report(m, fault, f"{lvdt.TEXTS[fault]}{lvdt.lateness(m.judged)}")
         return
-    if fault == "jump":
+    if fault == "lvdt_jump":
         m.jumped_until = m.now + LATCH
-    latch(m, f"{condition_of(fault)}_bridged", f"{lvdt.TEXTS[fault]}: bridged")
+    latch(m, f"{fault}_bridged", f"{lvdt.TEXTS[fault]}: bridged")
 
 
 def bridge(p: Params, m: Memory, gap: int, reading: float) -> None:
@@ -455,6 +437,15 @@ def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown)
 @node_only
 def unwatched(p: Params, m: Memory, applied: float, shown: plausibility.Shown) -> None:
     """Watches that only report, where nobody hears them: in C and its twin."""
+
+
+def weigh(p: Params, m: Memory, reading: float, applied: float, samples: int) -> None:
+    """Compare one more ``reading`` [V] with ``applied`` [V], which was on for ``samples`` periods before."""
+    if p.lvdt.comparison is None:
+        return
+    if m.evidence is None:
+        m.evidence = plausibility.initial(p.lvdt.comparison, reading, applied)
+    m.evidence = plausibility.step(p.lvdt.comparison, m.evidence, reading, applied, float(samples))
 
 
 def confront(p: Params, m: Memory) -> None:
@@ -517,17 +508,11 @@ def judge_cycles(p: Params, m: Memory, cycle: oscillation.State, high: float) ->
         return
     found = lock_in.found(p.lvdt.judge, m.probe)
     m.source = cycle_watch.source(cycle, found, high, m.judged.standing.grain)
-    tell_cycles(m, cycle, found)
+    latch(m, m.source, cycle_watch.text(m.source, cycle, found), max(LATCH, 2.0 * cycle.length))
     if p.answered and oscillation.amplitude(cycle) >= high and cycle_watch.lasts(cycle):
         report(m, "limit_cycle", cycle_watch.stop_text(m.source, cycle, found))
         m.pause = cycle_watch.paused(p.lvdt, m.pause, m.now)
         switch_off(p, m, "limit_cycle", False)
-
-
-@node_only
-def tell_cycles(m: Memory, cycle: oscillation.State, found: lock_in.LockInResult) -> None:
-    """Report ``cycle`` under the name of its source."""
-    latch(m, m.source, cycle_watch.text(m.source, cycle, found), max(LATCH, 2.0 * cycle.length))
 
 
 # Off and on again
@@ -685,9 +670,7 @@ def hold(p: Params, m: Memory, gap: int, reading: float) -> None:
         elif newest is not None and used is not None and m.command.homing is None:
             m.command = m.command._replace(value=used + i * (newest - used) / (gap + 1))
         m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, between)
-        take_in(p, m)
-        wanted = target(p, m)
-        wanted = bumpless_transfer.joined(p.transfer, m.transfer, wanted)
+        wanted = taken_in(p, m)
         m.law = law_hold(p.law, m.law, wanted, between, m.voltage)
         if m.fading:
             fade(p, m)
@@ -699,9 +682,7 @@ def control(p: Params, m: Memory, reading: float) -> bool:
     if m.trust.doubt.times != 0.0 and p.lvdt.comparison is not None:
         law = law._replace(u_max=min(law.u_max, p.probation))
     follow(p, m, m.now)
-    take_in(p, m)
-    wanted = target(p, m)
-    wanted = bumpless_transfer.joined(p.transfer, m.transfer, wanted)
+    wanted = taken_in(p, m)
     m.effective = wanted
     m.used = m.command.value
     if m.transfer.taking_over:
@@ -739,14 +720,16 @@ def follow(p: Params, m: Memory, now: float) -> None:
         m.command = command_watch.moved(m.command, command_course.value(p.course, m.course, now))
 
 
-def take_in(p: Params, m: Memory) -> None:
-    """The command of this sample, from which its lead follows."""
+def taken_in(p: Params, m: Memory) -> float:
+    """Command [V] of this sample as the law gets it, after its lead has followed it."""
     value = m.command.value
     if m.trajectory is not None:
         m.lead = None
     elif p.lead is not None and value is not None:
         before = command_lead.initial(value) if m.lead is None else m.lead
         m.lead = command_lead.step(p.lead, before, value)
+    wanted = target(p, m)
+    return bumpless_transfer.joined(p.transfer, m.transfer, wanted)
 
 
 def target(p: Params, m: Memory) -> float:
