@@ -5,10 +5,9 @@
 import numpy as np
 import pytest
 
-from valve_control.control.compiling import compile_function
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.simulation import batch, noise, offline
+from valve_control.control.simulation import batch, offline
 from valve_control.parameter import defaults, updated
 
 REAL = {
@@ -131,13 +130,3 @@ def test_valves_of_one_batch_agree():
         getattr(many, rows)[field][2] = 0.002
         with pytest.raises(ValueError, match=text):
             batch.simulate(many)
-
-
-def test_noise_has_numpys_bits():
-    """If this fails, numba draws other numbers than numpy: batches are then not what offline runs are."""
-    seeds = [*range(5), 2**32 - 1, 2**32 + 5, 2**63 - 1]
-    numbers = np.empty((len(seeds), 100_000))  # the tail beyond 3.65 comes 200 times
-    compile_function(noise.fill)(noise.seeded(np.array(seeds[::-1])), numbers)
-    compile_function(noise.fill)(noise.seeded(np.array(seeds)), numbers)  # the same generators, begun anew
-    for row, seed in zip(numbers, seeds, strict=True):
-        assert np.array_equal(row, np.random.default_rng(seed).standard_normal(len(row)))
