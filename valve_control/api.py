@@ -29,13 +29,12 @@ import numpy as np
 from valve_control import outputs
 from valve_control.arrays import Floats
 from valve_control.cli.command import parser
-from valve_control.cli.common import option_of
+from valve_control.cli.common import OUTPUTS, option_of
 from valve_control.control.parameters import files
 from valve_control.control.parameters.ros_file import as_text, as_yaml
 from valve_control.parameter import ParameterError, Values
 from valve_control.recordings.bags.errors import BagError
 
-ENDINGS = {"json": "json", "npz": "npz", "csv": "csv", "html": "html", "output": "yaml", "figure": "svg"}
 MANY = ("band", "data_sheet")  # options that take several words
 DRAWN = ("simulate", "compare", "identify")
 
@@ -122,10 +121,10 @@ class Call(NamedTuple):
 
     def run(self, wanted: Sequence[str]) -> tuple[int, str, dict[str, dict[str, Any]]]:
         """Exit status, text and, of the ``wanted`` outputs, the contents by the end of the file's name."""
-        for name in ENDINGS.keys() & self.options.keys():
+        for name in OUTPUTS.keys() & self.options.keys():
             raise ParameterError(f"{name} is of the command line; the result of {self.task} has all outputs")
         with tempfile.TemporaryDirectory() as folder:
-            files = {name: f"{folder}/out/{name}.{ENDINGS[name]}" for name in wanted}
+            files = {name: f"{folder}/out/{name}.{OUTPUTS[name]}" for name in wanted}
             Path(folder, "out").mkdir()
             line = [self.task, *map(str, self.words), *self._options(Path(folder))]
             text, errors = io.StringIO(), _Without(f"{folder}/")
@@ -290,7 +289,7 @@ def replay(bag: str | os.PathLike[str], *parameters: Source, **options: Any) -> 
 
 def _name_options() -> None:
     """Add the names of its options to the docstring of each task, for help()."""
-    commands, hidden = parser(), {"task", "run", "bag", "bags", *ENDINGS}
+    commands, hidden = parser(), {"task", "run", "bag", "bags", *OUTPUTS}
     for task, words in (
         (simulate, []), (compare, []), (identify, []), (tune, []), (margins, []),
         (analyze, ["-"]), (replay, ["-"]),

@@ -7,17 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
-from valve_control.cli.common import (
-    check_outputs,
-    deliver,
-    output_group,
-    parameter_options,
-    tell_notes,
-    write_json,
-    wrote,
-)
+from valve_control.cli.common import changes_of, deliver, output_group, parameter_options, write_json, wrote
+from valve_control.control.analysis.figures import Line, Plot, draw_columns
+from valve_control.control.compiling import explained
 from valve_control.control.laws.registry import LAWS
-from valve_control.parameter import Values, updated
+from valve_control.parameter import updated
 
 if TYPE_CHECKING:
     from valve_control.axis.run import Run, Setup
@@ -34,7 +28,8 @@ def add_commands(commands: Any) -> None:
     )
     group = axis.add_argument_group("simulation")
     group.add_argument("--controller", choices=LAWS, help="law of the valve (default: arc)")
-    group.add_argument("--upper", metavar="LEVEL", help="upper level: axis_pid or axis_arc (axis_pid)")
+    text = "upper level: axis_pid or axis_arc (axis_pid)"
+    group.add_argument("--upper", dest="upper_level", metavar="LEVEL", help=text)
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (3.0)")
     group.add_argument("--seed", type=int, metavar="N", help="seed of the sensors' noise (1)")
     parameter_options(group, "any parameter of axis, upper level, valve or its controller")
@@ -42,30 +37,12 @@ def add_commands(commands: Any) -> None:
     axis.set_defaults(run=_axis)
 
 
-def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
-    from valve_control.axis import run
-    from valve_control.axis.axis_parameters import AXIS_NODES
-    from valve_control.control.parameters import files
-
-    direct: dict[str, dict[str, Any]] = {
-        "controller": {"controller": arguments.controller},
-        "axis_controller": {"duration": arguments.duration, "upper_level": arguments.upper},
-        "axis_simulator": {"seed": arguments.seed},
-    }
-    notes: list[str] = []
-    changes = files.given(arguments.params_file, direct, arguments.set, notes, AXIS_NODES)
-    tell_notes(notes)
-    begun = run.default_settings()
-    return {node: updated(table, begun[node], changes[node]) for node, table in AXIS_NODES.items()}
-
-
 def _axis(arguments: argparse.Namespace) -> None:
     from valve_control.axis import run
-    from valve_control.control.compiling import explained
-    from valve_control.control.laws.registry import LAWS
+    from valve_control.axis.axis_parameters import AXIS_NODES
 
-    check_outputs(arguments, [arguments.csv], [arguments.figure])
-    setup = run.setup(_settings(arguments))
+    usual, changes = run.default_settings(), changes_of(arguments, AXIS_NODES)
+    setup = run.setup({node: updated(table, usual[node], changes[node]) for node, table in AXIS_NODES.items()})
     with explained(LAWS[setup.law].title):
         found = run.simulate(setup)
     i = found.indices
@@ -109,8 +86,6 @@ def _notes(setup: "Setup", found: "Run") -> str:
 
 
 def _draw(path: Path, setup: "Setup", found: "Run") -> None:
-    from valve_control.control.analysis.figures import Line, Plot, draw_columns
-
     s, t = found.signals, found.time
     plots = [
         Plot("position [m]", [Line("goal", t, s["goal"], dashed=True), Line("axis", t, s["position"])]),

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from valve_control import __version__
-from valve_control.cli.common import Parser, ended, give_way
+from valve_control.cli.common import Parser, check_outputs, ended, give_way
 from valve_control.control.laws.registry import LEFT_OUT
 
 EXAMPLES = """examples:
@@ -116,4 +116,4 @@ def run(argv: Sequence[str], alone: bool = False) -> int:
             print(f"valve-control: {sentence}", file=sys.stderr)
     if alone and arguments.task in SEARCHES:
         give_way(arguments)
-    return ended("valve-control", arguments.task, lambda: arguments.run(arguments))
+    return ended("valve-control", arguments.task, lambda: arguments.run(check_outputs(arguments)))

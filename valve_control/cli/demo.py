@@ -11,7 +11,7 @@ import numpy as np
 
 from valve_control.arrays import Floats
 from valve_control.axis.tables import ROS_NODES
-from valve_control.cli.common import check_outputs, wrote
+from valve_control.cli.common import wrote
 from valve_control.control.analysis.figures import COLOURS, Line, Plot, Trace, draw_columns
 from valve_control.control.analysis.indices import indices
 from valve_control.control.parameters import build, files, ros_file
@@ -105,7 +105,6 @@ def line(law: str, trace: Trace) -> tuple[str, float]:
 
 
 def _demo(arguments: argparse.Namespace) -> None:
-    check_outputs(arguments, [], [arguments.figure])
     traces, errors = {}, {}
     print(HEAD)
     for law in LAWS:

@@ -7,7 +7,7 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import check_outputs, output_group, repeated, write_json
+from valve_control.cli.common import output_group, repeated, write_json
 from valve_control.cli.simulate import settings_of, valve_options
 from valve_control.cli.study import box_of
 from valve_control.control.laws.registry import LAWS
@@ -50,7 +50,6 @@ def _margins(arguments: argparse.Namespace) -> None:
     from valve_control.control.simulation import offline
     from valve_control.design.tuning import box as boxes
 
-    check_outputs(arguments)
     if arguments.fix and not arguments.box:
         raise ParameterError("--fix keeps a quantity of the box; give --box too")
     settings = settings_of(arguments)

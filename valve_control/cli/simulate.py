@@ -8,31 +8,38 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from valve_control import outputs
 from valve_control.axis.tables import ROS_NODES
 from valve_control.cli.common import (
+    SEED,
     Parser,
-    check_outputs,
+    changes_of,
     clock_option,
     deliver,
-    option_of,
+    numbers,
     output_group,
     parameter_options,
+    progress,
+    refuse,
     repeated,
-    tell_notes,
     write_json,
     wrote,
 )
-from valve_control.control.analysis.tables import HEADER, index_row
+from valve_control.cli.recordings import compare_bags
+from valve_control.control.analysis import limit_cycle
+from valve_control.control.analysis.figures import Trace, draw_traces
+from valve_control.control.analysis.indices import HEADER, PAPER_TABLE_1, index_row
+from valve_control.control.analysis.steps import in_words
+from valve_control.control.commands import arrays
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES
+from valve_control.control.simulation import delivery, offline
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
-
-if TYPE_CHECKING:
-    from valve_control.control.simulation.delivery import Delivery
-    from valve_control.control.simulation.offline import Run
 
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
 SIMULATED = (
@@ -40,7 +47,6 @@ SIMULATED = (
     "command_drift", "preview", "set", "params_file", "figure",
 )  # fmt: skip
 FIGURE = "command, position, error and voltage as PNG or SVG"
-LONG = 5_000_000  # samples from which on a run shows its progress
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
 
@@ -66,7 +72,7 @@ def setup_options(several: bool = False) -> Parser:
         + ("; again for more" if several else ""),
     )
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (6.0, or the whole array)")
-    group.add_argument("--seed", type=int, metavar="N", help="seed of the LVDT noise (1)")
+    numbers(group, SEED if several else ("seed", int, None, "N", "seed of the LVDT noise (1)"))
     return options
 
 
@@ -88,7 +94,7 @@ def delivery_options(points: bool = True) -> Parser:
         group.add_argument(f"--command-{name}", type=float, metavar=unit, help=text)
     if points:
         text = "the command is known ahead: points of a trajectory, with rate and acceleration"
-        group.add_argument("--preview", action="store_const", const=True, help=text)
+        group.add_argument("--preview", action="store_true", help=text)
     return options
 
 
@@ -128,59 +134,28 @@ def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Value
 
     Raises ParameterError.
     """
-    from valve_control.control.parameters import files
-
-    array = {} if arguments.command is None else {"scenario": "array", "command_file": arguments.command}
-    if array and arguments.scenario is not None:
-        raise ParameterError(
-            f"--command {arguments.command} and --scenario {arguments.scenario} contradict each other; "
-            "give one of them"
-        )
-    if arguments.command == "":
-        raise ParameterError("--command has an empty name; give a CSV or NPY file")
-    direct: dict[str, dict[str, Any]] = {
-        "controller": {"controller": getattr(arguments, "controller", None)},
-        "valve_simulator": {"valve": arguments.valve, "seed": arguments.seed},
-        "command_source": {"scenario": arguments.scenario, "duration": arguments.duration, **array},
-    }
-    if getattr(arguments, "preview", False):
-        direct["command_source"]["message"] = "trajectory"
-    for options in direct.values():
-        options["sample_period"] = arguments.sample_period
-    notes: list[str] = []
-    changes = files.given(arguments.params_file, direct, arguments.set, notes, law=law)
-    tell_notes([] if law else notes)
+    more: dict[str, Any] = {}
+    if arguments.command is not None:
+        refuse(arguments, ["scenario"], "--command")
+        more = {"scenario": "array", "command_file": arguments.command}
+    if getattr(arguments, "preview", None):
+        more["message"] = "trajectory"
+    changes = changes_of(arguments, more=more, law=law)
     return {node: updated(table, defaults(table), changes[node]) for node, table in NODES.items()}
 
 
 def _command(arguments: argparse.Namespace, values: Values) -> Any:
-    from valve_control.control.commands import arrays
-    from valve_control.control.parameters import build
-
     if values["scenario"] == "array" and arguments.duration is None:
         return arrays.read(str(values["command_file"]))
     build.check_memory(number(values, "duration") / number(values, "sample_period"))
     return build.commands(values)
 
 
-def _derivatives(values: Values, command: Any, delivered: "Delivery | None") -> Any:
-    """Rates and accelerations of a ``command`` that is sent as points of a trajectory; None: it is not."""
-    from valve_control.control.parameters import build
-
-    if values["message"] != "trajectory":
-        return None
-    if delivered is not None:
-        raise ParameterError("points of a trajectory have their times; leave --command-period, -jitter out")
-    return build.derivatives(command, number(values, "sample_period"))
-
-
-def delivery_of(arguments: argparse.Namespace, values: Values) -> "Delivery | None":
+def delivery_of(arguments: argparse.Namespace, values: Values) -> delivery.Delivery | None:
     """How the options and the controller's ``values`` let commands come; None: one a sample, in time.
 
     Raises ParameterError.
     """
-    from valve_control.control.simulation import delivery
-
     asked = arguments.command_period, arguments.command_jitter, arguments.command_drift
     if asked == (None, None, None):
         return None
@@ -192,9 +167,7 @@ def delivery_of(arguments: argparse.Namespace, values: Values) -> "Delivery | No
     return result
 
 
-def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:
-    from valve_control.control.analysis import limit_cycle
-
+def _result(run: offline.Run, settings: Mapping[str, Values]) -> dict[str, Any]:
     return {
         "controller": run.controller,
         "valve": settings["valve_simulator"]["valve"],
@@ -213,12 +186,9 @@ def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:
     }
 
 
-def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], settings: Mapping[str, Values]) -> None:
+def _figure(arguments: argparse.Namespace, runs: Sequence[offline.Run], settings: Mapping[str, Values]) -> None:
     if arguments.figure is None:
         return
-    from valve_control.control.analysis.figures import Trace, draw_traces
-    from valve_control.control.parameters import build
-
     traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
     law = runs[0].controller if len(runs) == 1 else "all laws"
     files = ", ".join(Path(file).name for file in arguments.params_file) or "default parameters"
@@ -232,35 +202,43 @@ def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], settings: Mapp
     wrote(arguments, arguments.figure)
 
 
-def _simulate(arguments: argparse.Namespace) -> None:
-    from valve_control.control.analysis.steps import in_words
-    from valve_control.control.simulation import offline
-
-    check_outputs(arguments, [arguments.csv, arguments.npz], [arguments.figure])
-    settings = settings_of(arguments)
-    command = _command(arguments, settings["command_source"])
+def _run(arguments: argparse.Namespace, settings: Mapping[str, Values], command: Any) -> offline.Run:
+    """Run with these ``settings`` under ``command`` [V]; a warning about it is printed."""
+    source, derivatives = settings["command_source"], None
     delivered = delivery_of(arguments, settings["controller"])
-    moved = _derivatives(settings["command_source"], command, delivered)
-    from tqdm import tqdm
-
-    with tqdm(total=len(command), unit=" samples", disable=len(command) < LONG, ascii=True) as bar:
+    if source["message"] == "trajectory":
+        if delivered is not None:
+            raise ParameterError("points of a trajectory have their times; leave --command-period, -jitter out")
+        derivatives = build.derivatives(command, number(source, "sample_period"))
+    with progress(len(command), "samples") as bar:
         run = offline.finite_run(
             settings["controller"],
             settings["valve_simulator"],
             command,
-            told=lambda done: bar.update(done),
+            told=bar.update,
             delivered=delivered,
-            derivatives=moved,
+            derivatives=derivatives,
         )
     if run.warning:
         print(f"warning: {run.warning}", file=sys.stderr)
+    return run
+
+
+def _print(run: offline.Run) -> None:
+    print(index_row(run.controller, run.indices))
+    if text := limit_cycle.in_words(run.saturated, run.limit_cycle):
+        print(f"{run.controller}: {text}")
+
+
+def _simulate(arguments: argparse.Namespace) -> None:
+    settings = settings_of(arguments)
+    run = _run(arguments, settings, _command(arguments, settings["command_source"]))
     if arguments.json != "-":
         print(HEADER)
-        print(index_row(run.controller, run.indices))
+        _print(run)
         print(f"true position: e_M {run.true_error['e_M']:.4f} V, e_rms {run.true_error['e_rms']:.4f} V")
         if run.steps is not None:
             print(f"steps: {in_words(*run.steps)}")
-        _say_cycle(run)
         if run.theta is not None:
             print("estimates at the end: " + ", ".join(f"{v:.4g}" for v in run.theta))
     _traces(arguments, run)
@@ -268,15 +246,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
     write_json(arguments, _result(run, settings))
 
 
-def _say_cycle(run: "Run") -> None:
-    from valve_control.control.analysis.limit_cycle import in_words
-
-    text = in_words(run.saturated, run.limit_cycle)
-    if text:
-        print(f"{run.controller}: {text}")
-
-
-def _traces(arguments: argparse.Namespace, run: "Run") -> None:
+def _traces(arguments: argparse.Namespace, run: offline.Run) -> None:
     columns = {
         "time": run.time,
         "command": run.command,
@@ -289,50 +259,29 @@ def _traces(arguments: argparse.Namespace, run: "Run") -> None:
     if arguments.csv is not None:
         deliver(arguments, arguments.csv, outputs.csv_text(columns, "%.10g"))
     if arguments.npz is not None:
-        import numpy as np
-
         stream = io.BytesIO()
         np.savez_compressed(stream, allow_pickle=False, **columns)
         deliver(arguments, arguments.npz, stream.getvalue())
 
 
 def _compare(arguments: argparse.Namespace) -> None:
-    from valve_control.control.analysis.indices import PAPER_TABLE_1
-    from valve_control.control.simulation import offline
-
     if arguments.bags:
-        from valve_control.cli.recordings import compare_bags
-
-        given = [name for name in SIMULATED if getattr(arguments, name) not in (None, [])]
-        if given:
-            raise ParameterError(f"compare with bags takes no {option_of(given[0])}, which is for simulation")
+        refuse(arguments, SIMULATED, "compare with bags")
         compare_bags(arguments)
         return
-    if arguments.html or arguments.map or arguments.clock:
-        raise ParameterError("compare takes --html, --map and --clock with bags only")
-    check_outputs(arguments, figures=[arguments.figure])
+    refuse(arguments, ["html", "map", "clock"], "compare without bags")
     settings = settings_of(arguments)
     if any(text.partition("=")[0].strip() == "controller" for text in arguments.set):
         raise ParameterError("compare runs every controller, so it takes no --set controller")
-    command = _command(arguments, settings["command_source"])
-    runs = []
-    for controller in LAWS:
-        own = settings_of(arguments, controller)["controller"]
-        values = updated(NODES["controller"], own, {"controller": controller})
-        delivered = delivery_of(arguments, values)
-        moved = _derivatives(settings["command_source"], command, delivered)
-        run = offline.finite_run(
-            values, settings["valve_simulator"], command, delivered=delivered, derivatives=moved
-        )
-        if run.warning:
-            print(f"warning: {run.warning}", file=sys.stderr)
-        runs.append(run)
+    command, runs = _command(arguments, settings["command_source"]), []
+    for law in LAWS:
+        own = {**settings_of(arguments, law)["controller"], "controller": law}
+        runs.append(_run(arguments, {**settings, "controller": own}, command))
     paper = PAPER_TABLE_1 if _of_the_paper(settings) else {}
     if arguments.json != "-":
         print(HEADER)
         for run in runs:
-            print(index_row(run.controller, run.indices))
-            _say_cycle(run)
+            _print(run)
             if run.controller in paper:
                 print(index_row("  paper", paper[run.controller]))
     _figure(arguments, runs, settings)

@@ -3,30 +3,43 @@
 """Defines the sub-command `study`: distributions of the indices over many valves, worst cases again."""
 
 import argparse
-import math
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from valve_control import interrupts
 from valve_control.cli.common import (
-    Progress,
-    check_outputs,
-    check_processes,
+    THREADS,
     deliver,
-    fix_option,
+    numbers,
+    output_group,
+    progress,
+    refuse,
+    repeated,
     say,
     tell_notes,
+    within,
     write_json,
     wrote,
 )
 from valve_control.cli.simulate import settings_of, setup_options
+from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_columns
+from valve_control.control.commands import arrays
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import files, ros_file
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, number, updated, word
 
 if TYPE_CHECKING:
     from valve_control.control.simulation.robustness import Quantity, Study, StudyResult
+
+LIMIT = (
+    "a loop with a larger error [V] in the last two seconds counts as unstable (0.15; if the command moves "
+    "then, plus twice the tracking error of the valve without variations)"
+)
+FIX = ("--fix", "NAME", "quantity of the box that stays constant")
 
 
 def add_commands(commands: Any) -> None:
@@ -41,26 +54,19 @@ def add_commands(commands: Any) -> None:
     )
     study.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
     group = study.add_argument_group("study")
-    group.add_argument("--valves", type=int, default=100_000, metavar="N", help="number of valves (100000)")
-    fix_option(group)
+    repeated(group, *FIX)
     group.add_argument("--box", action="store_true", help="list the box and exit")
-    group.add_argument("--study-seed", type=int, default=1, metavar="N", help="seed of the draw (1)")
-    group.add_argument(
-        "--limit",
-        type=float,
-        metavar="V",
-        help="a loop with a larger error [V] in the last two seconds counts as unstable (0.15; if the "
-        "command moves then, plus twice the tracking error of the valve without variations)",
-    )
-    group.add_argument("--replay", type=int, metavar="N", help="write only valve number N, to --output")
-    group.add_argument(
-        "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="number of threads (all cores)"
+    numbers(
+        group,
+        ("valves", within(1, 2**31 - 1), 100_000, "N", "number of valves (%(default)s)"),
+        ("study-seed", int, 1, "N", "seed of the draw (%(default)s)"),
+        ("limit", within(1e-9), None, "V", LIMIT),
+        ("replay", int, None, "N", "write only valve number N, to --output"),
+        THREADS,
     )
     group.add_argument("--folder", help="folder of the results (out/study-…, one for each study)")
-    output = study.add_argument_group("output")
-    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    output.add_argument("--figure", metavar="FILE", help="distributions as PNG or SVG")
-    output.add_argument("--output", metavar="FILE", help="with --replay: that valve as ROS 2 parameter file")
+    valve = "with --replay: that valve as ROS 2 parameter file"
+    output_group(study, figure="distributions as PNG or SVG", output=valve)
     study.set_defaults(run=_study)
 
 
@@ -83,21 +89,24 @@ def _study(arguments: argparse.Namespace) -> int:
     folder = (
         Path("out", robustness.folder_name(chosen)) if arguments.folder is None else Path(arguments.folder)
     )
-    progress, done = Progress(chosen.valves, "valves"), list[int]()  # valves
-
-    def count(valves: int) -> None:
-        if not done and valves > 0:
-            print(f"{valves} of {chosen.valves} valves are in {folder} already", file=sys.stderr)
-        done.append(valves)
-        progress(valves)
-
     limit = robustness.fitting_limit(chosen) if arguments.limit is None else arguments.limit
-    try:
-        found = robustness.run(chosen, folder, count, arguments.threads)
-    except KeyboardInterrupt:
-        text = f"stopped; {max(done, default=0)} of {chosen.valves} valves are in {folder}"
-        print(f"{text}; the same command goes on", file=sys.stderr)
-        return 130
+    stored: list[int] = []  # valves from before
+    with progress(chosen.valves, "valves") as bar:
+
+        def count(valves: int) -> None:
+            if not stored:
+                bar.initial = bar.n = valves
+                if valves > 0:
+                    bar.write(f"{valves} of {chosen.valves} valves are in {folder} already", sys.stderr)
+            stored.append(valves)
+            bar.update(valves - bar.n)
+
+        try:
+            found = robustness.run(chosen, folder, count, arguments.threads)
+        except KeyboardInterrupt:
+            text = f"stopped; {bar.n} of {chosen.valves} valves are in {folder}; the same command goes on"
+            bar.write(text, sys.stderr)
+            return interrupts.STATUS
     result: dict[str, Any] = {
         "folder": str(folder),
         "controller": chosen.settings["controller"]["controller"],
@@ -115,23 +124,16 @@ def _study(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    check_outputs(arguments, [arguments.output], [arguments.figure])
-    check_processes("threads", arguments.threads)
-    if arguments.valves < 1:
-        raise ParameterError(f"--valves is {arguments.valves}; it must be at least 1")
-    if arguments.limit is not None and not 0.0 < arguments.limit < math.inf:
-        raise ParameterError(f"--limit is {arguments.limit:g} V; it must be above 0 V, and finite")
     if (arguments.output is None) != (arguments.replay is None):
         raise ParameterError("--replay and --output write the parameters of one valve; give both")
-    if arguments.replay is not None and arguments.figure is not None:
-        raise ParameterError("--figure is of the whole study; leave it out, or --replay")
+    if arguments.replay is not None:
+        refuse(arguments, ["figure"], "study --replay")
     if arguments.seed is not None:
         raise ParameterError("--seed says nothing here: each valve has a seed of its own; see --study-seed")
 
 
 def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
     """The quantities that vary: those of the study that --fix does not name. Raises ParameterError."""
-    from valve_control.control.parameters import files
     from valve_control.design.tuning import box
 
     task = "the study" if arguments.task == "study" else arguments.task
@@ -147,8 +149,6 @@ def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
 
 def _chosen(arguments: argparse.Namespace) -> "Study":
     """Study that the options ask for. Raises ParameterError."""
-    from valve_control.control.commands import arrays
-    from valve_control.control.parameters import files
     from valve_control.control.simulation import robustness
 
     settings = settings_of(arguments)
@@ -198,10 +198,6 @@ def _print(result: dict[str, Any]) -> None:
 
 
 def _draw(path: Path, found: "StudyResult", controller: str) -> None:
-    import numpy as np
-
-    from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_columns
-
     plots = []
     for name in ("e_rms", "e_M", "e_F"):
         lines = []
@@ -216,11 +212,8 @@ def _draw(path: Path, found: "StudyResult", controller: str) -> None:
 
 def _write_valve(arguments: argparse.Namespace, chosen: "Study") -> None:
     """Write valve number --replay, with controller and command, for `simulate` and the nodes."""
-    from valve_control.control.parameters import ros_file
     from valve_control.control.simulation import robustness
 
-    if arguments.replay < 0:
-        raise ParameterError(f"--replay is {arguments.replay}; valves are numbered from 0")
     settings = robustness.settings_of_number(chosen, arguments.replay)
     comment = f"valve {arguments.replay} of a study with seed {chosen.seed}"
     deliver(arguments, arguments.output, ros_file.as_yaml(settings, [comment]))
