@@ -109,7 +109,6 @@ def test_an_unstable_valve_is_told_and_spoils_no_other():
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"seeds": [-1] * 11}, "none below 0"),
         ({"commands": np.zeros((50, 11))}, r"commands of 11 valves have shape \(n\) or \(11, n\), not"),
         ({"led": np.zeros((11, 49))}, "with their lead"),
         ({"controller": "oarc"}, "law_params must be valve_control.control.laws.oarc.Params"),

@@ -42,7 +42,7 @@ def _axis(arguments: argparse.Namespace) -> None:
     from valve_control.axis.axis_parameters import AXIS_NODES
 
     usual, changes = run.default_settings(), changes_of(arguments, AXIS_NODES)
-    setup = run.setup({node: updated(table, usual[node], changes[node]) for node, table in AXIS_NODES.items()})
+    setup = run.setup({n: updated(table, usual[n], changes[n]) for n, table in AXIS_NODES.items()})
     with explained(LAWS[setup.law].title):
         found = run.simulate(setup)
     i = found.indices

@@ -63,7 +63,7 @@ def add_commands(commands: Any) -> None:
     numbers(
         group,
         ("max-chatter", within(1e-9), None, "C_U", KEPT),
-        ("sensor-delay", within(0.0, 1.0), 0.0, "S", "the sensor's part of the dead time (0 s), not the actuator's"),
+        ("sensor-delay", within(0.0, 1.0), 0.0, "S", "sensor's part of the dead time (0 s), not the actuator's"),
         ("budget", BUDGET, 200, "N", "number of sets of gains (%(default)s)"),
         ("valves", VALVES, 6, "N", "number of valves in the search (%(default)s)"),
         ("unseen", VALVES, 32, "N", "number of valves in the verification (%(default)s)"),

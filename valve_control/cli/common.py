@@ -67,7 +67,7 @@ def refuse(arguments: argparse.Namespace, names: Iterable[str], who: str) -> Non
             raise ParameterError(f"{who} takes no {option_of(name)}")
 
 
-Row = tuple[str, Callable[[str], float | None], float | None, str, str]
+Row = tuple[str, Callable[[str], float], float | str | None, str, str]
 
 
 def numbers(group: Any, *rows: Row) -> None:
@@ -240,37 +240,25 @@ def ended(program: str, task: str, work: Callable[[], int | None]) -> int:
         status = int(work() or 0)
         sys.stdout.flush()
         return status
-    except (ParameterError, BagError, LawError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 1 if isinstance(error, LawError) else 2
+    except (ParameterError, BagError) as error:
+        text, status = str(error), 2
+    except LawError as error:
+        text, status = str(error), 1
     except ModuleNotFoundError as error:
-        print(
-            f"{program}: {task} needs the Python package {error.name} (pip install {error.name})",
-            file=sys.stderr,
-        )
-        return 2
+        text, status = f"{task} needs the Python package {error.name} (pip install {error.name})", 2
     except BrokenPipeError:
-        _leave_output()
-        return 1
+        text, status = "", 1
     except OSError as error:
-        print(
-            f"{program}: {error.filename or 'output'} cannot be written: {error.strerror or error}",
-            file=sys.stderr,
-        )
-        _leave_output()
-        return 1
+        text, status = f"{error.filename or 'output'} cannot be written: {error.strerror or error}", 1
     except MemoryError:
-        print(f"{program}: {task} needs more memory than there is", file=sys.stderr)
-        return 1
+        text, status = f"{task} needs more memory than there is", 1
     except KeyboardInterrupt:
-        print(f"{program}: {task} was stopped", file=sys.stderr)
-        return interrupts.STATUS
-
-
-def _leave_output() -> None:
-    """Discard what standard output could not take, so that Python does not try again at its exit."""
+        text, status = f"{task} was stopped", interrupts.STATUS
+    if text:
+        print(f"{program}: {text}", file=sys.stderr)
     try:
         sys.stdout.flush()
-    except OSError:
+    except OSError:  # Python would try again at its exit
         with contextlib.suppress(OSError):
             sys.stdout.close()
+    return status

@@ -124,6 +124,6 @@ def _demo(arguments: argparse.Namespace) -> None:
 def add_commands(commands: Any) -> None:
     """Add `demo`."""
     text = "one slow, sticky valve without control, under the best PID, and under dcarc"
-    options = commands.add_parser("demo", help=text, group="simulate", description=f"Simulates {text}.")
+    options = commands.add_parser("demo", help=text, description=f"Simulates {text}.")
     options.add_argument("--figure", metavar="FILE", default="demo.png", help="figure to write (demo.png)")
     options.set_defaults(run=_demo, json=None)

@@ -186,7 +186,9 @@ def _result(run: offline.Run, settings: Mapping[str, Values]) -> dict[str, Any]:
     }
 
 
-def _figure(arguments: argparse.Namespace, runs: Sequence[offline.Run], settings: Mapping[str, Values]) -> None:
+def _figure(
+    arguments: argparse.Namespace, runs: Sequence[offline.Run], settings: Mapping[str, Values]
+) -> None:
     if arguments.figure is None:
         return
     traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
@@ -208,7 +210,7 @@ def _run(arguments: argparse.Namespace, settings: Mapping[str, Values], command:
     delivered = delivery_of(arguments, settings["controller"])
     if source["message"] == "trajectory":
         if delivered is not None:
-            raise ParameterError("points of a trajectory have their times; leave --command-period, -jitter out")
+            raise ParameterError("points of a trajectory have their times; leave --command-period out")
         derivatives = build.derivatives(command, number(source, "sample_period"))
     with progress(len(command), "samples") as bar:
         run = offline.finite_run(

@@ -49,22 +49,22 @@ WITH_BAG = ("start", "end", "of", "clock", "map")
 FAILED = 1  # exit status if gains of a law are not accepted
 
 
-def _limit(least: float, most: float) -> Callable[[str], float | None]:
+def _limit(off: float, least: float, most: float, unit: float = 1.0) -> Callable[[str], float]:
+    """Type of a limit in such a ``unit``; ``off``: its value for "none"."""
     number = within(least, most)
-    return lambda text: None if text == "none" else number(text)
+    return lambda text: off if text == "none" else unit * number(text)
 
 
 LIMITS: dict[str, Row] = {  # on every valve of the box, by fields of TuningLimits
-    "gain_db": ("gain-margin", _limit(0.0, 60.0), 3.0, "DB", "least gain margin, up and down"),
-    "phase_deg": ("phase-margin", _limit(0.0, 120.0), 20.0, "DEG", "least phase margin"),
-    "delay_s": ("delay-margin", _limit(0.0, 1.0), 0.0005, "S", "least delay margin"),
-    "pause_s": ("pause", _limit(0.0, 0.05), 0.01, "S", "pause of the command that is borne"),
-    "sensitivity_db": ("peak", _limit(0.1, 1e3), 12.0, "DB", "largest peak of the sensitivity"),
-    "swing": ("swing", _limit(0.001, 1e3), 0.04, "V", "largest swing that friction sustains"),
-    "saturated": ("saturation", _limit(0.0, 1.0), 0.02, "X", "largest share of saturated samples"),
-    "overshoot": ("overshoot", _limit(0.0, 1e3), 5.0, "%", "largest overshoot of steps, a wish"),
+    "gain_db": ("gain-margin", _limit(0.0, 0.0, 60.0), "3", "DB", "least gain margin, up and down"),
+    "phase_deg": ("phase-margin", _limit(0.0, 0.0, 120.0), "20", "DEG", "least phase margin"),
+    "delay_s": ("delay-margin", _limit(0.0, 0.0, 1.0), "0.0005", "S", "least delay margin"),
+    "pause_s": ("pause", _limit(0.0, 0.0, 0.05), "0.01", "S", "pause of the command that is borne"),
+    "sensitivity_db": ("peak", _limit(math.inf, 0.1, 1e3), "12", "DB", "largest peak of the sensitivity"),
+    "swing": ("swing", _limit(math.inf, 0.001, 1e3), "0.04", "V", "largest swing that friction sustains"),
+    "saturated": ("saturation", _limit(math.inf, 0.0, 1.0), "0.02", "X", "largest share of saturation"),
+    "overshoot": ("overshoot", _limit(math.inf, 0.0, 1e3, 0.01), "5", "%", "largest overshoot of steps"),
 }
-LEAST = ("gain_db", "phase_deg", "delay_s", "pause_s")  # which are 0 where they are off; the others infinite
 
 
 def add_commands(commands: Any) -> None:
@@ -96,7 +96,7 @@ def add_commands(commands: Any) -> None:
         "--preview", action="store_true", help="commands are known ahead (topic spool_trajectory)"
     )
     group = tune.add_argument_group("limits on every valve of the box", "none switches a limit off.")
-    numbers(group, *((*row[:4], f"{row[4]} (%(default)g)") for row in LIMITS.values()))
+    numbers(group, *((*row[:4], f"{row[4]} (%(default)s)") for row in LIMITS.values()))
     group = tune.add_argument_group("search")
     text = "number of sets of gains of each law, for the PID of each form (%(default)s)"
     numbers(
@@ -160,12 +160,9 @@ def limits_of(arguments: argparse.Namespace) -> "TuningLimits":
     """The limits that the options name."""
     from valve_control.design.tuning.trial import TuningLimits
 
-    limits: dict[str, float] = {}
-    for field, (name, *_) in LIMITS.items():
-        value = getattr(arguments, name.replace("-", "_"))
-        off = 0.0 if field in LEAST else math.inf
-        limits[field] = off if value is None else (0.01 if field == "overshoot" else 1.0) * value
-    return TuningLimits(**limits)
+    return TuningLimits(
+        **{field: getattr(arguments, name.replace("-", "_")) for field, (name, *_) in LIMITS.items()}
+    )
 
 
 def _task(arguments: argparse.Namespace) -> "tuple[Task, RecordedRun | None]":

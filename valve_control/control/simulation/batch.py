@@ -292,10 +292,7 @@ def _commands(given: Floats, count: int) -> Floats:
 
 def _prepared(batch: Batch) -> Prepared:
     law, like_law = _law(batch)
-    seeds = np.asarray(batch.seeds)
-    if seeds.ndim != 1 or len(seeds) == 0 or seeds.dtype.kind not in "iu" or np.any(seeds < 0):
-        raise ValueError("seeds must be whole numbers, none below 0, one for each of at least one valve")
-    seeds = seeds.astype(np.int64)
+    seeds = np.asarray(batch.seeds, dtype=np.int64)
     count = len(seeds)
     commands = _commands(batch.commands, count)
     led = commands if batch.led is None else _commands(batch.led, count)
@@ -390,8 +387,6 @@ def simulate(batch: Batch, threads: int | None = None, traces: Floats | None = N
     running are through. Raises ValueError for a batch that does not fit together.
     """
     ready = _prepared(batch)
-    if threads is not None and threads < 1:
-        raise ValueError(f"threads is {threads}; it must be at least 1")
     shape = (len(ready.seeds), ready.samples, 3)
     if traces is None:
         traces = np.empty((0, ready.samples, 3))
