@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
-from valve_control.cli.common import changes_of, deliver, output_group, parameter_options, write_json, wrote
+from valve_control.cli.common import (
+    changes_of,
+    deliver,
+    law_option,
+    output_group,
+    parameter_options,
+    write_json,
+    wrote,
+)
 from valve_control.control.analysis.figures import Line, Plot, draw_columns
 from valve_control.control.compiling import explained
 from valve_control.control.laws.registry import LAWS
@@ -27,7 +35,7 @@ def add_commands(commands: Any) -> None:
         "parameters' lists the parameters of axis_simulator and axis_controller.",
     )
     group = axis.add_argument_group("simulation")
-    group.add_argument("--controller", choices=LAWS, help="law of the valve (default: arc)")
+    law_option(group, "law of the valve (default: arc)")
     text = "upper level: axis_pid or axis_arc (axis_pid)"
     group.add_argument("--upper", dest="upper_level", metavar="LEVEL", help=text)
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (3.0)")

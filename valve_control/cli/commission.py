@@ -15,6 +15,7 @@ from valve_control.cli.common import (
     SEED,
     THREADS,
     VALVES,
+    law_option,
     numbers,
     output_group,
     progress,
@@ -24,7 +25,6 @@ from valve_control.cli.common import (
     write_json,
     wrote,
 )
-from valve_control.control.laws.registry import LAWS
 from valve_control.design.commissioning.bench import Fault, Plan, SafetyLimits, check
 from valve_control.parameter import ParameterError, number, word
 
@@ -59,11 +59,11 @@ def add_commands(commands: Any) -> None:
         ("travel", within(1e-9), 2.0, "V", "largest reading in both directions (%(default)g V)"),
     )
     group = commission.add_argument_group("tuning")
-    group.add_argument("--controller", choices=LAWS, metavar="LAW", help="law to tune (the present law)")
+    law_option(group, "law to tune (the present law)")
     numbers(
         group,
         ("max-chatter", within(1e-9), None, "C_U", KEPT),
-        ("sensor-delay", within(0.0, 1.0), 0.0, "S", "sensor's part of the dead time (0 s), not the actuator's"),
+        ("sensor-delay", within(0.0, 1.0), 0.0, "S", "part of the dead time that is the sensor's (0 s)"),
         ("budget", BUDGET, 200, "N", "number of sets of gains (%(default)s)"),
         ("valves", VALVES, 6, "N", "number of valves in the search (%(default)s)"),
         ("unseen", VALVES, 32, "N", "number of valves in the verification (%(default)s)"),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from valve_control import interrupts, outputs, priority
 from valve_control.control.compiling import LawError
-from valve_control.control.laws.registry import LEFT_OUT
+from valve_control.control.laws.registry import LAWS, LEFT_OUT
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Table
@@ -34,9 +34,6 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with status 2."""
-        for name, sentence in LEFT_OUT.items():
-            if f"invalid choice: '{name}'" in message:
-                self.exit(2, f"{self.prog}: {sentence}\n")
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
@@ -52,6 +49,18 @@ def within(least: float, most: float = 1e99) -> Callable[[str], float]:
         raise argparse.ArgumentTypeError(f"{word} is no {whole}number from {least:g} to {most:g}")
 
     return number
+
+
+def _law(name: str) -> str:
+    """Type of an option for a law, which says why one of another package is left out."""
+    if name in LEFT_OUT:
+        raise argparse.ArgumentTypeError(LEFT_OUT[name])
+    return name
+
+
+def law_option(group: Any, text: str = "control law (default: arc)") -> None:
+    """Add --controller, with the help ``text``."""
+    group.add_argument("--controller", type=_law, choices=LAWS, help=text)
 
 
 def option_of(name: str) -> str:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from valve_control.arrays import Floats
-from valve_control.axis.tables import ROS_NODES
 from valve_control.cli.common import wrote
 from valve_control.control.analysis.figures import COLOURS, Line, Plot, Trace, draw_columns
 from valve_control.control.analysis.indices import indices
@@ -49,12 +48,9 @@ def motion() -> dict[str, Value]:
 
 def values_of(law: str) -> dict[str, Values]:
     """All parameters of controller, simulated valve and command under ``law``. Raises ParameterError."""
-    values = {node: defaults(table) for node, table in NODES.items()}
-    for name in files_of(law):
-        changes = files.load(str(ros_file.config_folder() / name), nodes=ROS_NODES)
-        values = {node: updated(NODES[node], known, changes[node]) for node, known in values.items()}
-    values["command_source"] = updated(NODES["command_source"], values["command_source"], motion())
-    return values
+    paths = [str(ros_file.config_folder() / name) for name in files_of(law)]
+    changes = files.given(paths, {"command_source": motion()}, [])
+    return {node: updated(table, defaults(table), changes[node]) for node, table in NODES.items()}
 
 
 def settled(command: Floats, error: Floats, period: float) -> float:

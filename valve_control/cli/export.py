@@ -10,6 +10,7 @@ from valve_control import outputs
 from valve_control.cli.common import (
     changes_of,
     check_outputs,
+    law_option,
     output_group,
     parameter_options,
     progress,
@@ -17,7 +18,6 @@ from valve_control.cli.common import (
     write_json,
     wrote,
 )
-from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, defaults, updated
@@ -33,7 +33,7 @@ def add_commands(commands: Any) -> None:
         "write an FMU for co-simulation (Linux, x86-64) that contains the C.",
     )
     group = options.add_argument_group("export")
-    group.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
+    law_option(group)
     group.add_argument(
         "--plant",
         choices=("valve",),

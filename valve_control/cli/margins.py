@@ -7,7 +7,7 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import output_group, repeated, write_json
+from valve_control.cli.common import law_option, output_group, repeated, write_json
 from valve_control.cli.simulate import settings_of, valve_options
 from valve_control.cli.study import box_of
 from valve_control.control.laws.registry import LAWS
@@ -31,7 +31,7 @@ def add_commands(commands: Any) -> None:
         "loop, and the largest oscillation about rest that friction sustains. With --box also the worst "
         "of each over the box of valves of `study` and `tune`.",
     )
-    margins.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
+    law_option(margins)
     margins.add_argument(
         "--box",
         action="store_true",
@@ -43,7 +43,6 @@ def add_commands(commands: Any) -> None:
 
 
 def _margins(arguments: argparse.Namespace) -> None:
-    from valve_control.control.laws.registry import LAWS
     from valve_control.control.linear import margins, stability
     from valve_control.control.parameters import build, files
     from valve_control.control.plant import registry

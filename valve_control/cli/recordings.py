@@ -16,6 +16,7 @@ from valve_control.cli.common import (
     changes_of,
     check_outputs,
     deliver,
+    law_option,
     load,
     output_group,
     parameter_options,
@@ -25,10 +26,8 @@ from valve_control.cli.common import (
     valve_of,
     write_json,
 )
-from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import NODES
-from valve_control.parameter import ParameterError
 from valve_control.recordings.bags.errors import BagError
 
 if TYPE_CHECKING:
@@ -106,7 +105,7 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
     )
     replay.add_argument("--of", metavar="VALVE", help="valve to replay, if the bag has several")
     group = replay.add_argument_group("shadow and what-if: instead of the recorded parameters")
-    group.add_argument("--controller", choices=LAWS, help="control law")
+    law_option(group, "control law")
     parameter_options(group, "a parameter")
     replay.set_defaults(run=_replay)
 
@@ -147,47 +146,35 @@ def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> dict[str
 
 
 def _replay(arguments: argparse.Namespace) -> int:
+    from valve_control.recordings import replay_report, shadow, what_if
     from valve_control.recordings.analysis import analyze
 
-    loaded = load(arguments, arguments.bag, journals=arguments.mode == "shadow")
-    valve = valve_of(arguments, arguments.bag, analyze(loaded).valves)
-    valve = valve._replace(left_out=[*loaded.problems, *valve.left_out])
-    report = (_replay_shadow if arguments.mode == "shadow" else _replay_what_if)(arguments, valve)
+    shadows = arguments.mode == "shadow"
+    loaded = load(arguments, arguments.bag, journals=shadows)
+    found = valve_of(arguments, arguments.bag, analyze(loaded).valves)
+    left_out = [*loaded.problems, *found.left_out]
+    changes = changes_of(arguments, recorded=True)
+    nodes = ("controller",) if shadows else ("controller", "valve_simulator")
+    why = f"replay --mode {arguments.mode} has the recorded command" + " and readings" * shadows
+    files.refuse_others(arguments.set, {node: NODES[node] for node in nodes}, why)
+    result: Any
+    if shadows:
+        readings = found.valve.signals.get("spool_position")
+        with progress(0 if readings is None else len(readings.time), "samples") as bar:
+            result = shadow.replay(found.valve, changes["controller"], bar.update)
+    elif found.signals is None:
+        raise BagError("; ".join(left_out))
+    else:
+        own = changes["controller"], changes["valve_simulator"]
+        result = what_if.replay(found.valve, found.signals, *own)
+        if result.run.warning:
+            print(f"warning: {result.run.warning}", file=sys.stderr)
+    report_of: Any = replay_report.of_shadow if shadows else replay_report.of_what_if
+    result = result._replace(left_out=[*left_out, *result.left_out])
+    report = report_of(result, arguments.bag, found.valve.name)
     csv_files = {} if arguments.csv is None else {arguments.csv: outputs.csv_text(report.columns, "%.17g")}
     _deliver(arguments, report, csv_files)
     return 0
-
-
-def _replay_shadow(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> "Report":
-    from valve_control.recordings import replay_report, shadow
-
-    valve = analysis.valve
-    changes = changes_of(arguments, recorded=True)
-    names = [n for node, own in changes.items() for n in own if n not in changes["controller"]]
-    if names:
-        raise ParameterError(f"replay --mode shadow has no {names[0]}, which is not of the controller")
-    count = len(valve.signals["spool_position"].time) if "spool_position" in valve.signals else 0
-    with progress(count, "samples") as bar:
-        result = shadow.replay(valve, changes["controller"], bar.update)
-    result = result._replace(left_out=[*analysis.left_out, *result.left_out])
-    return replay_report.of_shadow(result, arguments.bag, valve.name)
-
-
-def _replay_what_if(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> "Report":
-    from valve_control.recordings import replay_report, what_if
-
-    if analysis.signals is None:
-        raise BagError("; ".join(analysis.left_out))
-    changes = changes_of(arguments, recorded=True)
-    simulated = {node: NODES[node] for node in ("controller", "valve_simulator")}
-    files.refuse_others(arguments.set, simulated, "replay --mode what-if simulates the recorded command")
-    result = what_if.replay(
-        analysis.valve, analysis.signals, changes["controller"], changes["valve_simulator"]
-    )
-    result = result._replace(left_out=[*analysis.left_out, *result.left_out])
-    if result.run.warning:
-        print(f"warning: {result.run.warning}", file=sys.stderr)
-    return replay_report.of_what_if(result, arguments.bag, analysis.valve.name)
 
 
 def _deliver(arguments: argparse.Namespace, report: "Report", csv_files: Mapping[str, str]) -> None:

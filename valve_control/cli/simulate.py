@@ -20,6 +20,7 @@ from valve_control.cli.common import (
     changes_of,
     clock_option,
     deliver,
+    law_option,
     numbers,
     output_group,
     parameter_options,
@@ -30,6 +31,7 @@ from valve_control.cli.common import (
     wrote,
 )
 from valve_control.cli.recordings import compare_bags
+from valve_control.control import closed_loop
 from valve_control.control.analysis import limit_cycle
 from valve_control.control.analysis.figures import Trace, draw_traces
 from valve_control.control.analysis.indices import HEADER, PAPER_TABLE_1, index_row
@@ -86,12 +88,12 @@ def delivery_options(points: bool = True) -> Parser:
     """Parser with the options that say how the commands come; ``points``: also as a trajectory."""
     options = Parser(add_help=False)
     group = options.add_argument_group("delivery of the commands")
-    for name, unit, text in (
-        ("period", "S", "time from one command to the next (one sample period)"),
-        ("jitter", "S", "a command takes between 0 and twice this time to the controller (0)"),
-        ("drift", "PPM", "difference between the clocks of upper level and samples [ppm] (0)"),
-    ):
-        group.add_argument(f"--command-{name}", type=float, metavar=unit, help=text)
+    numbers(
+        group,
+        ("command-period", float, None, "S", "time from one command to the next (one sample period)"),
+        ("command-jitter", float, None, "S", "a command is late by between 0 and twice this time (0)"),
+        ("command-drift", float, None, "PPM", "drift of the upper level's clock [ppm] (0)"),
+    )
     if points:
         text = "the command is known ahead: points of a trajectory, with rate and acceleration"
         group.add_argument("--preview", action="store_true", help=text)
@@ -107,7 +109,7 @@ def add_commands(commands: Any) -> None:
         help="run one controller on one valve with one command",
         description="Run one controller on one simulated valve; print the indices I1-I5 of the paper.",
     )
-    simulate.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
+    law_option(simulate)
     output_group(simulate, figure=FIGURE, csv="traces as CSV", npz="traces as NPZ")
     simulate.set_defaults(run=_simulate)
     compare = commands.add_parser(
@@ -249,15 +251,8 @@ def _simulate(arguments: argparse.Namespace) -> None:
 
 
 def _traces(arguments: argparse.Namespace, run: offline.Run) -> None:
-    columns = {
-        "time": run.time,
-        "command": run.command,
-        "position": run.position,
-        "measurement": run.measurement,
-        "voltage": run.voltage,
-    }
-    terms = {f"{run.controller}.{name}" if name in columns else name: row for name, row in run.terms.items()}
-    columns.update(terms)
+    columns = {name: getattr(run, name) for name in ("time", "command", *closed_loop.SIGNALS)}
+    columns |= {f"{run.controller}.{n}" if n in columns else n: row for n, row in run.terms.items()}
     if arguments.csv is not None:
         deliver(arguments, arguments.csv, outputs.csv_text(columns, "%.10g"))
     if arguments.npz is not None:

@@ -13,6 +13,7 @@ from valve_control import interrupts
 from valve_control.cli.common import (
     THREADS,
     deliver,
+    law_option,
     numbers,
     output_group,
     progress,
@@ -52,7 +53,7 @@ def add_commands(commands: Any) -> None:
         "forces, drifts, noise, dead times and sample periods. Ctrl-C stops it; the same command resumes "
         "it.",
     )
-    study.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
+    law_option(study)
     group = study.add_argument_group("study")
     repeated(group, *FIX)
     group.add_argument("--box", action="store_true", help="list the box and exit")
