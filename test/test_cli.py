@@ -149,13 +149,3 @@ def test_compare_runs_each_law_with_its_own_file(order, run, config):
     for law in LAWS:
         own = ("--params-file", tuned[law]) if law in order else ("--controller", law)
         assert compared[law] == json.loads(run("simulate", *usual, *own)[1])["indices"], law
-
-
-CUSTOM = ["--valve", "custom", "--set", "numerator=[12000.0]", "--set", "denominator=[1.0, 150.0, 12000.0]"]
-
-
-@pytest.mark.parametrize("other", [CUSTOM, ["--scenario", "sine"]])
-def test_the_papers_rows_stand_beside_its_valve_and_motion_alone(other, run, tmp_path):
-    status, out, _ = run("compare", "--duration", "1.0", "--json", "c.json", *other)
-    assert status == 0 and "paper" not in out
-    assert json.loads((tmp_path / "c.json").read_text())["paper"] == {}

@@ -13,6 +13,7 @@ import numpy as np
 from research import running
 from research.calibration import objective, search
 from research.calibration.space import DIMENSIONS, Settings, changed, values_at
+from research.paper import PAPER_TABLE_1
 from valve_control import interrupts, outputs
 from valve_control.cli.common import (
     CORES,
@@ -25,7 +26,7 @@ from valve_control.cli.common import (
     write_json,
     wrote,
 )
-from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices
+from valve_control.control.analysis.indices import Indices
 from valve_control.control.parameters import ros_file
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import Values, defaults, updated

@@ -24,12 +24,13 @@ from research.campaigns.processes import (
     tool_options,
     wait_until,
 )
+from research.paper import PAPER_TABLE_1
 from valve_control import outputs
 from valve_control.arrays import Floats
 from valve_control.cli import demo
 from valve_control.control.analysis import limit_cycle
 from valve_control.control.analysis.figures import Trace, draw_traces
-from valve_control.control.analysis.indices import HEADER, PAPER_TABLE_1, Indices, index_row, indices
+from valve_control.control.analysis.indices import HEADER, Indices, index_row, indices
 from valve_control.control.parameters import build
 from valve_control.control.simulation import offline
 from valve_control.parameter import Values

@@ -34,7 +34,7 @@ from valve_control.cli.recordings import compare_bags
 from valve_control.control import closed_loop
 from valve_control.control.analysis import limit_cycle
 from valve_control.control.analysis.figures import Trace, draw_traces
-from valve_control.control.analysis.indices import HEADER, PAPER_TABLE_1, index_row
+from valve_control.control.analysis.indices import HEADER, index_row
 from valve_control.control.analysis.steps import in_words
 from valve_control.control.commands import arrays
 from valve_control.control.laws.registry import LAWS
@@ -115,9 +115,9 @@ def add_commands(commands: Any) -> None:
     compare = commands.add_parser(
         "compare",
         parents=[setup, delivery_options()],
-        help="compare several bags, or simulate all controllers beside the paper's Table 1",
+        help="compare several bags, or simulate all controllers",
         description="Compare the runs in several bags. Without a bag: run every controller on one valve and "
-        "one command, beside the paper's Table 1.",
+        "one command.",
     )
     compare.add_argument("bags", nargs="*", metavar="BAG", help="bags to compare")
     output_group(
@@ -274,22 +274,12 @@ def _compare(arguments: argparse.Namespace) -> None:
     for law in LAWS:
         own = {**settings_of(arguments, law)["controller"], "controller": law}
         runs.append(_run(arguments, {**settings, "controller": own}, command))
-    paper = PAPER_TABLE_1 if _of_the_paper(settings) else {}
     if arguments.json != "-":
         print(HEADER)
         for run in runs:
             _print(run)
-            if run.controller in paper:
-                print(index_row("  paper", paper[run.controller]))
     _figure(arguments, runs, settings)
-    printed = {name: values._asdict() for name, values in paper.items()}
-    write_json(arguments, {"runs": [_result(run, settings) for run in runs], "paper": printed})
-
-
-def _of_the_paper(settings: Mapping[str, Values]) -> bool:
-    """Whether valve and motion are of the kind that the paper's Table 1 was measured with."""
-    model, scenario = settings["valve_simulator"]["valve"], settings["command_source"]["scenario"]
-    return model != "custom" and scenario == "point_to_point"
+    write_json(arguments, {"runs": [_result(run, settings) for run in runs]})
 
 
 def _parameters(arguments: argparse.Namespace) -> None:

@@ -24,14 +24,6 @@ class Indices(NamedTuple):
     c_u: float  # -  (I5) normalised control variation
 
 
-# Table 1.
-PAPER_TABLE_1 = {
-    "pid": Indices(0.207, 0.147, 0.038, 2.313, 0.423),
-    "arc": Indices(0.145, 0.112, 0.032, 2.362, 0.416),
-    "oarc": Indices(0.158, 0.120, 0.036, 2.314, 0.341),
-}
-
-
 def rms(values: Floats) -> float:
     """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
