@@ -55,14 +55,14 @@ def add_commands(commands: Any) -> None:
     )
     numbers(
         commission.add_argument_group("limits"),
-        ("max-voltage", within(1e-9), 4.0, "V", "largest voltage in both directions (%(default)g V)"),
-        ("travel", within(1e-9), 2.0, "V", "largest reading in both directions (%(default)g V)"),
+        ("max-voltage", within(0.1, 1e3), 4.0, "V", "largest voltage in both directions (%(default)g V)"),
+        ("travel", within(0.1, 1e3), 2.0, "V", "largest reading in both directions (%(default)g V)"),
     )
     group = commission.add_argument_group("tuning")
     law_option(group, "law to tune (the present law)")
     numbers(
         group,
-        ("max-chatter", within(1e-9), None, "C_U", KEPT),
+        ("max-chatter", within(1e-6, 1e3), None, "C_U", KEPT),
         ("sensor-delay", within(0.0, 1.0), 0.0, "S", "part of the dead time that is the sensor's (0 s)"),
         ("budget", BUDGET, 200, "N", "number of sets of gains (%(default)s)"),
         ("valves", VALVES, 6, "N", "number of valves in the search (%(default)s)"),

@@ -37,7 +37,7 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
-def within(least: float, most: float = 1e99) -> Callable[[str], float]:
+def within(least: float, most: float) -> Callable[[str], float]:
     """Type of an option for numbers from ``least`` to ``most``, whole ones if ``least`` is."""
     kind = type(least)
 

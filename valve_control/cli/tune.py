@@ -91,7 +91,7 @@ def add_commands(commands: Any) -> None:
     bag_options(group)
     group = tune.add_argument_group("objective")
     text = "limit of the mean chatter; where no gains keep it, the quieter ones are taken"
-    numbers(group, ("max-chatter", within(1e-9), None, "C_U", text))
+    numbers(group, ("max-chatter", within(1e-6, 1e3), None, "C_U", text))
     group.add_argument(
         "--preview", action="store_true", help="commands are known ahead (topic spool_trajectory)"
     )
