@@ -56,7 +56,7 @@ def add_commands(commands: Any) -> None:
     numbers(
         commission.add_argument_group("limits"),
         ("max-voltage", within(0.1, 1e3), 4.0, "V", "largest voltage in both directions (%(default)g V)"),
-        ("travel", within(0.1, 1e3), 2.0, "V", "largest reading in both directions (%(default)g V)"),
+        ("travel", within(0.2, 1e3), 2.0, "V", "largest reading in both directions (%(default)g V)"),
     )
     group = commission.add_argument_group("tuning")
     law_option(group, "law to tune (the present law)")

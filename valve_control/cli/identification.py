@@ -16,6 +16,7 @@ from valve_control.cli.common import (
     numbers,
     output_group,
     refuse,
+    repeated,
     say,
     tell_notes,
     valve_of,
@@ -92,14 +93,10 @@ def add_commands(commands: Any) -> None:
     )
     yaml = "ROS 2 parameter file: valve model, compensator's model, estimates"
     output = output_group(identify, output=yaml, figure="Bode plot as PNG or SVG")
-    output.add_argument(
-        "--characteristic",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="with --friction: draw the characteristic curve in both directions as PNG or SVG, or write as "
-        "YAML the parameters linearisation.* of its inverse; again for more (--json has its 100 points)",
-    )
+    repeated(
+        output, "--characteristic", "FILE", "with --friction: draw the characteristic curve in both directions "
+        "as PNG or SVG, or write as YAML the parameters linearisation.* of its inverse",
+    )  # fmt: skip
     identify.set_defaults(run=_identify)
 
 
