@@ -4,7 +4,6 @@
 
 import argparse
 import io
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -179,9 +178,7 @@ def _result(run: offline.Run, settings: Mapping[str, Values]) -> dict[str, Any]:
         "seed": settings["valve_simulator"]["seed"],
         "indices": run.indices._asdict(),
         "true_error": run.true_error,
-        "steps": None
-        if run.steps is None
-        else {"overshoot": run.steps[0], "settling_s": run.steps[1] if math.isfinite(run.steps[1]) else None},
+        "steps": run.steps and dict(zip(("overshoot", "settling_s"), run.steps, strict=True)),
         "theta": run.theta,
         **limit_cycle.as_dict(run.saturated, run.limit_cycle),
         "warning": run.warning or None,

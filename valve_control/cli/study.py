@@ -59,7 +59,7 @@ def add_commands(commands: Any) -> None:
     group.add_argument("--box", action="store_true", help="list the box and exit")
     numbers(
         group,
-        ("valves", within(1, 2**31 - 1), 100_000, "N", "number of valves (%(default)s)"),
+        ("valves", int, 100_000, "N", "number of valves (%(default)s)"),
         ("study-seed", int, 1, "N", "seed of the draw (%(default)s)"),
         ("limit", within(1e-6, 1e6), None, "V", LIMIT),
         ("replay", int, None, "N", "write only valve number N, to --output"),
