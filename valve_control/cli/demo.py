@@ -56,14 +56,11 @@ def values_of(law: str) -> dict[str, Values]:
 def settled(command: Floats, error: Floats, period: float) -> float:
     """Longest time [s] from the end of a stroke until the ``error`` [V] stays small; inf: it does not."""
     moves = np.abs(np.diff(command, prepend=command[0])) > 0.0
-    rests = np.flatnonzero(moves[:-1] & ~moves[1:]) + 1
-    longest = 0.0
-    for first in rests:
-        still = first + int(np.argmax(np.append(moves[first:], True)))
-        outside = np.flatnonzero(np.abs(error[first:still]) > BAND * STROKE)
-        last = 0 if len(outside) == 0 else int(outside[-1]) + 1
-        longest = max(longest, last * period if last < still - first else np.inf)
-    return longest
+    samples = np.arange(len(command))
+    moved = np.maximum.accumulate(np.where(moves, samples, -1))  # sample of the last move
+    outside = ~moves & (moved >= 0) & (np.abs(error) > BAND * STROKE)
+    never = np.any(outside & np.append(moves[1:], True))
+    return np.inf if never else period * float(np.max((samples - moved)[outside], initial=0))
 
 
 def draw(path: str, traces: Mapping[str, Trace], errors: Mapping[str, float], where: str) -> None:
