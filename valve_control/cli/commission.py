@@ -221,6 +221,8 @@ class _Steps:
             self._step, self._bar = name, progress(round(total), f"({name})")
             print(f"{name} …", file=sys.stderr, flush=True)
         self._bar.update(round(min(done, total)) - self._bar.n)
+        if done >= total:
+            self.close()
 
     def close(self) -> None:
         """End the bar of the last step."""

@@ -87,9 +87,7 @@ def _study(arguments: argparse.Namespace) -> int:
     if arguments.replay is not None:
         _write_valve(arguments, chosen)
         return 0
-    folder = (
-        Path("out", robustness.folder_name(chosen)) if arguments.folder is None else Path(arguments.folder)
-    )
+    folder = Path(arguments.folder or Path("out", robustness.folder_name(chosen)))
     limit = robustness.fitting_limit(chosen) if arguments.limit is None else arguments.limit
     stored: list[int] = []  # valves from before
     with progress(chosen.valves, "valves") as bar:

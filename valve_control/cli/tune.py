@@ -133,8 +133,8 @@ def _tune(arguments: argparse.Namespace) -> int:
             task, arguments.max_chatter, arguments.budget, arguments.threads, show
         )
     holding = {name: one for name, one in tuned.items() if one.chosen.holds}
-    files = {name: paths[name] for name in holding if paths}
-    laws = {name: {**tuner.as_dict(one), "file": files.get(name)} for name, one in tuned.items()}
+    written = {name: paths[name] for name in holding if paths}
+    laws = {name: {**tuner.as_dict(one), "file": written.get(name)} for name, one in tuned.items()}
     result = {"laws": laws, **({"missing": missing} if missing else {})}
     if run is not None:
         result["recording"] = recorded.as_dict(run.fitted)
@@ -148,8 +148,8 @@ def _tune(arguments: argparse.Namespace) -> int:
         _print(tuned)
     for name, one in holding.items():
         text = _yaml(arguments, task.seen.values, one, run.fitted.values if run is not None else {})
-        if name in files:
-            deliver(arguments, files[name], text)
+        if name in written:
+            deliver(arguments, written[name], text)
         elif arguments.json is None:
             print(text, end="")
     write_json(arguments, result)
@@ -220,13 +220,9 @@ def _recorded(arguments: argparse.Namespace, settings: Mapping[str, Values], cho
 
 def _paths(output: str | None, laws: Sequence[str]) -> dict[str, str]:
     """Parameter file of each of the ``laws``."""
-    if output is None:
-        return {}
-    path = Path(output)
-    return {
-        law: output if len(laws) == 1 else str(path.with_name(f"{path.stem}_{law}{path.suffix}"))
-        for law in laws
-    }
+    path = Path(output or "none")
+    several = {law: str(path.with_name(f"{path.stem}_{law}{path.suffix}")) for law in laws}
+    return {} if output is None else several if len(laws) > 1 else {laws[0]: output}
 
 
 def _yaml(arguments: argparse.Namespace, values: Values, one: "Tuned", valve: Values) -> str:
