@@ -123,12 +123,14 @@ def test_a_trajectory_is_what_gains_for_preview_are_tuned_for(run, config):
 def test_a_figure_shows_a_detail_of_what_is_fast_and_says_what_it_is_of(
     run, tmp_path, config, motion, detail
 ):
-    done = run(
-        "simulate", "--controller", "pid", "--params-file", config / "d3fxe.yaml", "--duration", "3",
-        "--figure", "x.svg", "--scenario", *motion,
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    for name in ("x.svg", "y.SVG"):
+        done = run(
+            "simulate", "--controller", "pid", "--params-file", config / "d3fxe.yaml", "--duration", "3",
+            "--figure", name, "--scenario", *motion,
+        )  # fmt: skip
+        assert done.status == 0, done.err
     text = (tmp_path / "x.svg").read_text()
+    assert text.startswith("<?xml") and text == (tmp_path / "y.SVG").read_text()
     assert ("<!-- detail -->" in text) == detail
     assert f"<!-- pid (d3fxe.yaml) on the valve fourth_order: {motion[0]} of " in text
     assert " mV rms, " in text and " % of stroke -->" in text

@@ -92,8 +92,6 @@ REFUSED = [
     (["--output", "new", "--fmu", "2", "--float"], "export --fmu takes no --float"),
     (["--output", "new.fmu", "--fmu", "2"], "needs a C compiler, and there is no not_there"),
     (["--output", "new", "--float"], "needs a C compiler, and there is no not_there"),
-    (["--output", "new", "--watch", "--plant", "valve"], "export --plant takes no --watch"),
-    (["--output", "new", "--watch", "--fmu", "2"], "export --watch takes no --fmu"),
     (["--output", "new", "--watch", "--float"], "export --watch takes no --float"),
     (["--output", "new", "--float", "--set", "oarc.k2=1e12", "--controller", "oarc"], "compiler"),
 ]
