@@ -11,6 +11,7 @@ from valve_control.cli.common import (
     changes_of,
     deliver,
     law_option,
+    names_of_files,
     output_group,
     parameter_options,
     write_json,
@@ -65,7 +66,8 @@ def _axis(arguments: argparse.Namespace) -> None:
         columns = {"time": found.time, **found.signals}
         deliver(arguments, arguments.csv, outputs.csv_text(columns, "%.10g"))
     if arguments.figure is not None:
-        _draw(Path(arguments.figure), setup, found)
+        title = f"axis under {setup.level}, valve under {setup.law} ({names_of_files(arguments)})"
+        _draw(Path(arguments.figure), found, title)
         wrote(arguments, arguments.figure)
     write_json(
         arguments, {"controller": setup.law, "upper_level": setup.level, **i._asdict(), **_extremes(found)}
@@ -93,7 +95,7 @@ def _notes(setup: "Setup", found: "Run") -> str:
     return f"{text}; the piston meets a stop" if meets else text
 
 
-def _draw(path: Path, setup: "Setup", found: "Run") -> None:
+def _draw(path: Path, found: "Run", title: str) -> None:
     s, t = found.signals, found.time
     plots = [
         Plot("position [m]", [Line("goal", t, s["goal"], dashed=True), Line("axis", t, s["position"])]),
@@ -111,4 +113,4 @@ def _draw(path: Path, setup: "Setup", found: "Run") -> None:
             ],
         ),
     ]
-    draw_columns([path], {"": plots}, "time [s]", f"axis under {setup.law}")
+    draw_columns([path], {"": plots}, "time [s]", title)

@@ -7,6 +7,7 @@ import contextlib
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from valve_control import interrupts, outputs, priority
@@ -101,6 +102,11 @@ def parameter_options(group: Any, parameters: str) -> None:
     """Add --set for ``parameters``, as its help calls them, and --params-file."""
     repeated(group, "--set", "NAME=VALUE", parameters)
     repeated(group, "--params-file", "FILE", "ROS 2 parameter file; later ones win, --set wins over files")
+
+
+def names_of_files(arguments: argparse.Namespace) -> str:
+    """Names of the parameter files, for the title of a figure."""
+    return ", ".join(Path(file).name for file in arguments.params_file) or "default parameters"
 
 
 def changes_of(

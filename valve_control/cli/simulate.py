@@ -20,6 +20,7 @@ from valve_control.cli.common import (
     clock_option,
     deliver,
     law_option,
+    names_of_files,
     numbers,
     output_group,
     parameter_options,
@@ -185,6 +186,16 @@ def _result(run: offline.Run, settings: Mapping[str, Values]) -> dict[str, Any]:
     }
 
 
+def title_of(arguments: argparse.Namespace, law: str, settings: Mapping[str, Values]) -> str:
+    """Title of a figure: law, files of its gains, valve and motion."""
+    source, frequency = settings["command_source"], build.highest_frequency(settings["command_source"])
+    motion = f"{source['scenario']} of {source['amplitude']:g} V"
+    motion += f", {frequency:g} Hz" if frequency else ""
+    if source["scenario"] == "array":
+        motion = Path(str(source["command_file"])).name
+    return f"{law} ({names_of_files(arguments)}) on the valve {settings['valve_simulator']['valve']}: {motion}"
+
+
 def _figure(
     arguments: argparse.Namespace, runs: Sequence[offline.Run], settings: Mapping[str, Values]
 ) -> None:
@@ -192,14 +203,7 @@ def _figure(
         return
     traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
     law = runs[0].controller if len(runs) == 1 else "all laws"
-    files = ", ".join(Path(file).name for file in arguments.params_file) or "default parameters"
-    source, frequency = settings["command_source"], build.highest_frequency(settings["command_source"])
-    motion = f"{source['scenario']} of {source['amplitude']:g} V"
-    motion += f", {frequency:g} Hz" if frequency else ""
-    if source["scenario"] == "array":
-        motion = Path(str(source["command_file"])).name
-    title = f"{law} ({files}) on the valve {settings['valve_simulator']['valve']}: {motion}"
-    draw_traces(Path(arguments.figure), traces, title)
+    draw_traces(Path(arguments.figure), traces, title_of(arguments, law, settings))
     wrote(arguments, arguments.figure)
 
 

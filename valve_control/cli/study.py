@@ -25,7 +25,7 @@ from valve_control.cli.common import (
     write_json,
     wrote,
 )
-from valve_control.cli.simulate import settings_of, setup_options
+from valve_control.cli.simulate import settings_of, setup_options, title_of
 from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_columns
 from valve_control.control.commands import arrays
 from valve_control.control.laws.registry import LAWS
@@ -116,7 +116,8 @@ def _study(arguments: argparse.Namespace) -> int:
         _print(result)
         print(f"all results are in {folder}")
     if arguments.figure is not None:
-        _draw(Path(arguments.figure), found, result["controller"])
+        title = f"{len(found.period)} valves around {title_of(arguments, result['controller'], chosen.settings)}"
+        _draw(Path(arguments.figure), found, title)
         wrote(arguments, arguments.figure)
     write_json(arguments, result)
     return 0
@@ -196,16 +197,15 @@ def _print(result: dict[str, Any]) -> None:
         print("\n".join(limits.as_text(result["limits"], "valves")))
 
 
-def _draw(path: Path, found: "StudyResult", controller: str) -> None:
+def _draw(path: Path, found: "StudyResult", title: str) -> None:
     plots = []
     for name in ("e_rms", "e_M", "e_F"):
         lines = []
         for i, period in enumerate(np.unique(found.period)):
             values = np.sort(getattr(found.results, name)[(found.period == period) & found.results.finite])
             share = 100.0 * (np.arange(len(values)) + 1.0) / max(1, len(values))
-            lines.append(Line(f"{1e3 * period:g} ms", values, share, COLOURS[i % len(COLOURS)]))
+            lines.append(Line(f"sampled every {1e3 * period:g} ms", values, share, COLOURS[i % len(COLOURS)]))
         plots.append(Plot(f"{name}: valves [%]", lines))
-    title = f"{controller}: {len(found.period)} valves, by sample period"
     draw_columns([path], {"": plots}, "at most [V]", title, logarithmic_x=True)
 
 
