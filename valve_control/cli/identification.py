@@ -94,8 +94,8 @@ def add_commands(commands: Any) -> None:
     yaml = "ROS 2 parameter file: valve model, compensator's model, estimates"
     output = output_group(identify, output=yaml, figure="Bode plot as PNG or SVG")
     repeated(
-        output, "--characteristic", "FILE", "with --friction: draw the characteristic curve in both directions "
-        "as PNG or SVG, or write as YAML the parameters linearisation.* of its inverse",
+        output, "--characteristic", "FILE", "with --friction: draw the characteristic curve in both "
+        "directions as PNG or SVG, or write as YAML the parameters linearisation.* of its inverse",
     )  # fmt: skip
     identify.set_defaults(run=_identify)
 

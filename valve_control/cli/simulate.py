@@ -193,7 +193,8 @@ def title_of(arguments: argparse.Namespace, law: str, settings: Mapping[str, Val
     motion += f", {frequency:g} Hz" if frequency else ""
     if source["scenario"] == "array":
         motion = Path(str(source["command_file"])).name
-    return f"{law} ({names_of_files(arguments)}) on the valve {settings['valve_simulator']['valve']}: {motion}"
+    valve = settings["valve_simulator"]["valve"]
+    return f"{law} ({names_of_files(arguments)}) on the valve {valve}: {motion}"
 
 
 def _figure(

@@ -116,8 +116,8 @@ def _study(arguments: argparse.Namespace) -> int:
         _print(result)
         print(f"all results are in {folder}")
     if arguments.figure is not None:
-        title = f"{len(found.period)} valves around {title_of(arguments, result['controller'], chosen.settings)}"
-        _draw(Path(arguments.figure), found, title)
+        title = title_of(arguments, result["controller"], chosen.settings)
+        _draw(Path(arguments.figure), found, f"{title}, {len(found.period)} valves around it")
         wrote(arguments, arguments.figure)
     write_json(arguments, result)
     return 0
