@@ -71,7 +71,10 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
         (["compare", "a", "b", "--command-drift", "50"], ["compare with bags takes no --command-drift"]),
         (["identify", "--set", "valve=second_order", "--order", "4", *QUICK], ["not support", "--order 2"]),
         (["simulate", "--command", "/dev/zero"], ["it is no file"]),
-        (["simulate", "--command-period", "0.01", "--command-jitter", "0.02"], ["--command-jitter is 0.02 s"]),
+        (
+            ["simulate", "--command-period", "0.01", "--command-jitter", "0.02"],
+            ["--command-jitter is 0.02 s"],
+        ),
         (["study", "--threads", "10000"], ["--threads: 10000 is no whole number from 1 to"]),
         (["tune", "--controller", "pid", "--from", "1", "--json", "-"], ["--from", "--bag"]),
         (["tune", "--controller", "pid", "--set", "pid.kp=3"], ["the search chooses"]),
@@ -242,7 +245,9 @@ def table():
         lines += [[*command.split(), "--json", "same.json", f"--{n}", "same.json"] for n in names.split()[1:]]
     for command, names in NUMBERS.items():
         for name in names.split():
-            lines += [[*command.split(), f"--{name}={bad}"] for bad in ("nan", "inf", "-1", "fast", "", "1e99")]
+            lines += [
+                [*command.split(), f"--{name}={bad}"] for bad in ("nan", "inf", "-1", "fast", "", "1e99")
+            ]
     for command, names in COUNTS.items():
         for name in names.split():
             lines += [[*command.split(), f"--{name}={bad}"] for bad in ("-1", "1.5", "nan", "many")]
