@@ -194,8 +194,8 @@ def load(arguments: argparse.Namespace, path: str, others: Sequence[str] = (), *
     """
     from valve_control.recordings import mapping, recording
 
-    part = {name: getattr(arguments, name, None) for name in ("start", "end")}
-    part = {**part, "clock": arguments.clock, **how}
+    part: dict[str, Any] = {name: getattr(arguments, name, None) for name in ("start", "end", "clock")}
+    part |= how
     if None not in (part["start"], part["end"]) and part["end"] <= part["start"]:
         raise ParameterError(f"--to {part['end']:g} lies not after --from {part['start']:g}")
     return recording.load(path, mapping.maps_of(path, arguments.map, [path, *others]), **part)

@@ -227,8 +227,8 @@ def dominant_poles(law: LinearLaw, valves: LinearValves) -> Complexes:
 def _states(a: Floats, b: Floats, z: Complexes) -> Complexes:
     """States of z·x = a·x + b (n) at the points ``z`` (F) of the z-plane, shape (F, n)."""
     pencil = z[:, None, None] * np.eye(len(b)) - a
-    states: Complexes = np.linalg.solve(pencil, np.broadcast_to(b[:, None], (len(z), len(b), 1)))[..., 0]
-    return states
+    states = np.linalg.solve(pencil, np.broadcast_to(b[:, None], (len(z), len(b), 1)))
+    return np.asarray(states[..., 0], dtype=complex)
 
 
 def law_response(law: LinearLaw, z: Complexes) -> Complexes:

@@ -250,9 +250,10 @@ def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> S
     told(sum(min(chunk, study.valves - first) for first in parts))
     for first in sorted(paths.keys() - parts.keys()):
         found = run_chunk(study, first, chunk, threads)
-        parts[first] = found.points, found.period, np.stack(found.results, axis=1)
-        stream = io.BytesIO()
-        np.savez(stream, study=np.array(digest), **dict(zip(PARTS, parts[first], strict=True)))
+        points, period = found.points, found.period
+        rows: Floats = np.stack(found.results, axis=1)
+        parts[first], stream = (points, period, rows), io.BytesIO()
+        np.savez(stream, points=points, period=period, rows=rows, study=np.array(digest))
         outputs.write(str(paths[first]), stream.getvalue())
         told(sum(min(chunk, study.valves - first) for first in parts))
     each = zip(*(parts[first] for first in paths), strict=True)
