@@ -25,8 +25,8 @@ import numpy.typing as npt
 from benchmarks.supervised import SupervisedValve
 from research import comparison, running
 from valve_control import outputs
-from valve_control.cli.commission import CHATTER
 from valve_control.cli import common
+from valve_control.cli.commission import CHATTER
 from valve_control.control.compiling import sources_digest
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
@@ -501,9 +501,8 @@ def _options() -> common.Parser:
         "--margins", choices=WHERE, default=WHERE[0],
         help="of commissioning, that the best PID keeps: none, on its valve, or on a box of valves around it",
     )  # fmt: skip
-    parser.add_argument(
-        "--jobs", type=within(1, MOST_THREADS), default=1, metavar="N", help="valves at a time (1)"
-    )
+    jobs = common.within(1, common.MOST_THREADS)
+    parser.add_argument("--jobs", type=jobs, default=1, metavar="N", help="valves at a time (1)")
     parser.add_argument("--out", default="out/solenoid", metavar="FOLDER", help="(out/solenoid)")
     return parser
 
