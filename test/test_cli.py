@@ -133,7 +133,7 @@ def test_a_figure_shows_a_detail_of_what_is_fast_and_says_what_it_is_of(
     assert text.startswith("<?xml") and text == (tmp_path / "y.SVG").read_text()
     assert ("<!-- detail -->" in text) == detail
     assert f"<!-- pid (d3fxe.yaml) on the valve fourth_order: {motion[0]} of " in text
-    assert " mV rms, " in text and " % of stroke -->" in text
+    assert " mV rms, " in text and " % of stroke -->" in text and "e+0" not in text
 
 
 LAWS = ("dcarc", "pid", "arc")

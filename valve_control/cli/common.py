@@ -210,12 +210,12 @@ def valve_of(arguments: argparse.Namespace, path: str, valves: Mapping[str, Any]
     return recording.chosen(path, valves, arguments.of)
 
 
-def progress(total: int, things: str) -> Any:
-    """Bar of progress on standard error, for work that takes longer than SOON."""
+def progress(total: int, things: str, pieces: bool = True) -> Any:
+    """Bar of progress on standard error, for work in ``pieces`` that takes longer than SOON."""
     from tqdm import tqdm
 
     style = {"delay": SOON, "mininterval": EVERY, "leave": False, "ascii": True}
-    return tqdm(total=total, unit=f" {things}", **style)
+    return tqdm(total=total, unit=f" {things}", disable=not pieces, **style)
 
 
 def say(arguments: argparse.Namespace, text: str) -> None:

@@ -216,7 +216,7 @@ def _run(arguments: argparse.Namespace, settings: Mapping[str, Values], command:
         if delivered is not None:
             raise ParameterError("points of a trajectory have their times; leave --command-period out")
         derivatives = build.derivatives(command, number(source, "sample_period"))
-    with progress(len(command), "samples") as bar:
+    with progress(len(command), "samples", len(command) > offline.PIECE) as bar:
         run = offline.finite_run(
             settings["controller"],
             settings["valve_simulator"],

@@ -86,7 +86,7 @@ def _trace_plots(traces: Mapping[str, Trace], shown: slice) -> list[Plot]:
     for i, (label, trace) in enumerate(traces.items()):
         colour, time, error = COLOURS[i % len(COLOURS)], trace.time[shown], trace.position - trace.command
         rms = float(np.sqrt(np.nanmean(np.square(error))))
-        label += f": {1e3 * rms:.3g} mV rms"
+        label += f": {float(f'{1e3 * rms:.3g}'):g} mV rms"
         label += f", {100.0 * rms / stroke:.2g} % of stroke" if stroke > 0.0 else ""
         top.append(Line(label, time, trace.position[shown], colour))
         middle.append(Line(label, time, 1e3 * error[shown], colour))
