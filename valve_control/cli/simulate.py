@@ -230,8 +230,12 @@ def _run(arguments: argparse.Namespace, settings: Mapping[str, Values], command:
     return run
 
 
-def _print(run: offline.Run) -> None:
+def _print(run: offline.Run, alone: bool = False) -> None:
     print(index_row(run.controller, run.indices))
+    if alone:
+        print(f"true position: e_M {run.true_error['e_M']:.4f} V, e_rms {run.true_error['e_rms']:.4f} V")
+        if run.steps is not None:
+            print(f"steps: {in_words(*run.steps)}")
     if text := limit_cycle.in_words(run.saturated, run.limit_cycle):
         print(f"{run.controller}: {text}")
 
@@ -241,10 +245,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
     run = _run(arguments, settings, _command(arguments, settings["command_source"]))
     if arguments.json != "-":
         print(HEADER)
-        _print(run)
-        print(f"true position: e_M {run.true_error['e_M']:.4f} V, e_rms {run.true_error['e_rms']:.4f} V")
-        if run.steps is not None:
-            print(f"steps: {in_words(*run.steps)}")
+        _print(run, alone=True)
         if run.theta is not None:
             print("estimates at the end: " + ", ".join(f"{v:.4g}" for v in run.theta))
     _traces(arguments, run)
