@@ -25,8 +25,8 @@ import numpy.typing as npt
 from benchmarks.supervised import SupervisedValve
 from research import comparison, running
 from valve_control import outputs
+from valve_control.cli import common
 from valve_control.cli.commission import CHATTER
-from valve_control.cli.common import Parser, check_processes
 from valve_control.control.compiling import sources_digest
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
@@ -488,8 +488,8 @@ def check_seeds(first: int, count: int) -> None:
         )
 
 
-def _options() -> Parser:
-    parser = Parser(prog="python -m benchmarks.solenoid", description=__doc__)
+def _options() -> common.Parser:
+    parser = common.Parser(prog="python -m benchmarks.solenoid", description=__doc__)
     parser.add_argument("--valves", type=int, default=6, metavar="N", help="number of valves (6)")
     parser.add_argument(
         "--seed", type=int, default=DEVELOPMENT, metavar="N",
@@ -501,14 +501,14 @@ def _options() -> Parser:
         "--margins", choices=WHERE, default=WHERE[0],
         help="of commissioning, that the best PID keeps: none, on its valve, or on a box of valves around it",
     )  # fmt: skip
-    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="valves at a time (1)")
+    jobs = common.within(1, common.MOST_THREADS)
+    parser.add_argument("--jobs", type=jobs, default=1, metavar="N", help="valves at a time (1)")
     parser.add_argument("--out", default="out/solenoid", metavar="FOLDER", help="(out/solenoid)")
     return parser
 
 
 def _solenoid(arguments: argparse.Namespace) -> None:
     check_seeds(arguments.seed, arguments.valves)
-    check_processes("jobs", arguments.jobs)
     for name in ("budget", "sets"):
         if not 1 <= getattr(arguments, name) <= 10**6:
             raise ParameterError(f"--{name} is {getattr(arguments, name)}; it must lie between 1 and 1000000")

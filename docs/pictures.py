@@ -116,13 +116,13 @@ def nodes(*commands: Sequence[str]) -> Iterator[None]:
 def record(bag: str) -> None:
     """Record the cascade for 14 s; oarc.ks1 changes after 5 s, the law after 8 s."""
     files = [word for name in ("d3fxe", "oarc") for word in ("--params-file", f"config/{name}.yaml")]
-    command = ["-p", "scenario:=sine", "-p", "frequency:=1.0", "-p", "amplitude:=2.0", "-p", "duration:=12.0"]
+    settings = ("scenario:=sine", "frequency:=1.0", "amplitude:=2.0", "duration:=12.0", "listeners:=2")
     setter = [sys.executable, str(ROOT / "docs" / "examples" / "set_parameters.py"), "/controller"]
     with nodes(
         ["recorder", "-p", f"bag:={bag}"],
         ["valve_simulator", *files],
         ["controller", *files, "-p", "controller:=oarc"],
-        ["command_source", *command],
+        ["command_source", *(word for text in settings for word in ("-p", text))],
     ):
         time.sleep(7.0)
         subprocess.run([*setter, "oarc.ks1=150.0"], env=ENVIRONMENT, check=True, timeout=20)

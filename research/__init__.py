@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Research behind the product, run from a checkout: theorems, paper, axes, tuned laws, campaigns."""
 
-from pathlib import Path
+import sys
 
 from valve_control.control.compiling import add_sources
 
-add_sources(__name__, Path(__file__).parent, laws=False)
+add_sources(sys.modules[__name__])

@@ -176,7 +176,7 @@ def _options() -> Parser:
 def _solenoid(arguments: argparse.Namespace) -> None:
     from valve_control.control.parameters import ros_file
 
-    check_outputs(arguments, figures=[arguments.figure])
+    check_outputs(arguments)
     paths = sorted((ros_file.config_folder() / "solenoid").glob("*.yaml"))
     found = {path.stem: measured(path) for path in paths}
     if arguments.json != "-":

@@ -49,7 +49,7 @@ def _compare(arguments: argparse.Namespace) -> None:
     from research import comparison
     from valve_control.control.parameters import ros_file
 
-    check_outputs(arguments, figures=[arguments.figure])
+    check_outputs(arguments)
     count, seed, box, limit = arguments.valves, arguments.seed, arguments.box, arguments.limit
     if not 1 <= count <= MOST:
         raise ParameterError(f"--valves is {count}; it must lie between 1 and {MOST}")

@@ -40,13 +40,6 @@ def refused(called, *words):
         assert word in err, err
 
 
-def test_svg_is_svg_and_the_same_figure_is_the_same_file(run, tmp_path):
-    for name in ("x.SVG", "y.svg"):
-        assert run("simulate", "--duration", "0.1", "--figure", name)[0] == 0
-    text = (tmp_path / "x.SVG").read_text()
-    assert text.startswith("<?xml") and text == (tmp_path / "y.svg").read_text()
-
-
 def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
     other = "camera:\n  ros__parameters: {rate: 30.0}\n"
     (tmp_path / "typing.yaml").write_text("controler:\n  ros__parameters: {arc: {k1: 99.0}}\n")
@@ -70,25 +63,25 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["simulate", "--command", "c.csv", "--scenario", "sine"], ["contradict"]),
-        (["identify", "--command", "c.csv", "--scenario", "sweep"], ["--command", "no --scenario"]),
+        (["simulate", "--command", "c.csv", "--scenario", "sine"], ["--command takes no --scenario"]),
         (["simulate", "--set", "valve=custom", "--set", "numerator=[-1502.0]"], ["must be positive"]),
         (["simulate", "--set", "numerator=[3.0]"], ["numerator", "no effect without valve=custom"]),
         (["export", "--output", "e", "--set", "dcarc.denominator=[1.0, 2.0]"], ["dcarc.model=custom"]),
         (["study", "--replay", "1", "--output", "v.yaml", "--figure", "f.png"], ["--figure", "--replay"]),
-        (["compare", "a", "b", "--command-drift", "50"], ["--command-drift", "for simulation"]),
-        (["compare", "a", "b", "--figure", "x.png"], ["--figure", "for simulation"]),
+        (["compare", "a", "b", "--command-drift", "50"], ["compare with bags takes no --command-drift"]),
         (["identify", "--set", "valve=second_order", "--order", "4", *QUICK], ["not support", "--order 2"]),
         (["simulate", "--command", "/dev/zero"], ["it is no file"]),
-        (["study", "--threads", "10000"], ["10000", "cores"]),
+        (
+            ["simulate", "--command-period", "0.01", "--command-jitter", "0.02"],
+            ["--command-jitter is 0.02 s"],
+        ),
+        (["study", "--threads", "10000"], ["--threads: 10000 is no whole number from 1 to"]),
         (["tune", "--controller", "pid", "--from", "1", "--json", "-"], ["--from", "--bag"]),
         (["tune", "--controller", "pid", "--set", "pid.kp=3"], ["the search chooses"]),
         (["simulate", "--scenario", "sine", "--set", "frequency=500.0"], ["500 Hz", "Nyquist"]),
         (["study", "--scenario", "sweep", "--set", "end_frequency=300.0"], ["300 Hz", "Nyquist"]),
         (["simulate", "--valve", "custom", "--set", "denominator=[1.0, -58.0, 1650.0]"], ["pole at"]),
-        (["axis", "--set", "course=sine", "--set", "frequency=500.0"], ["500 Hz", "Nyquist"]),
         (["simulate", "--set", "bag=monday"], ["bag", "running nodes alone"]),
-        (["identify", "--set", "fault.lvdt=jump"], ["fault.lvdt", "running nodes alone"]),
         (["axis", "--set", "error_limit=0.01"], ["error_limit", "running nodes alone"]),
         (["export", "--controller", "pid", "--output", "e.fmu"], ["e.fmu", "--fmu 2 or --fmu 3"]),
         (["export", "--output", "e/", "--json", "e"], ["e is given for two outputs"]),
@@ -100,8 +93,6 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
         (["parameters", "zzz"], ["no parameter has 'zzz' in its name"]),
         (["simulate", "--duration", "1e6"], ["samples takes", "GB of memory", "shorten the duration"]),
         (["simulate", "--duration", "0.1", "--figure", "x.xyz"], ["x.xyz", ".png or .svg"]),
-        (["compare", "--duration", "0.1", "--figure", "/dev/full"], ["/dev/full", ".png or .svg"]),
-        (["identify", "--figure", "x"], ["x must end in .png or .svg"]),
         (["analyze", "a" * 300], ["cannot be read", "name too long"]),
         (["replay", "/dev/null"], ["/dev/null", "neither a file nor a folder"]),
     ],
@@ -120,13 +111,10 @@ def test_an_output_does_not_take_the_place_of_an_input(run, bags, tmp_path, conf
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     inside = sorted(p.name for p in (bags / "arc").iterdir())
     for arguments in (
-        ["simulate", "--command", "c.csv", "--csv", "c.csv"],
         ["simulate", "--command", "c.csv", "--csv", "same.csv"],
-        ["simulate", "--params-file", "p.yaml", "--json", "./p.yaml"],
         ["simulate", "--params-file", "link.yaml", "--json", "p.yaml"],
         ["identify", "--params-file", "p.yaml", "--output", "link.yaml"],
         ["analyze", bags / "arc", "--csv", bags / "arc" / "metadata.yaml"],
-        ["analyze", bags / "arc", "--html", bags / "arc" / "report.html"],
         ["replay", bags / "arc", "--json", bags / "arc" / "r.json"],
         ["compare", bags / "arc", bags / "pid", "--html", bags / "pid" / "x.html"],
     ):
@@ -137,13 +125,11 @@ def test_an_output_does_not_take_the_place_of_an_input(run, bags, tmp_path, conf
 
 def test_read_only_outputs_stay(run, bags, tmp_path):
     """They were replaced, since that takes no more than a folder that can be written."""
-    names = ("x.json", "x.csv", "x.png", "x.yaml", "x.html")
+    names = ("x.json", "x.png", "x.yaml", "x.html")
     for name in names:
         (tmp_path / name).write_text("kept")
         (tmp_path / name).chmod(0o444)
     for arguments in (
-        ["simulate", "--duration", "0.1", "--json", "x.json"],
-        ["simulate", "--duration", "0.1", "--csv", "x.csv"],
         ["simulate", "--duration", "0.1", "--figure", "x.png"],
         ["identify", "--output", "x.yaml"],
         ["analyze", bags / "arc", "--html", "x.html"],
@@ -234,7 +220,6 @@ NUMBERS = {
     "study": "sample-period duration limit",
     "tune": "max-chatter gain-margin phase-margin delay-margin peak saturation",
 }
-ENDLESS = ("limit", "max-chatter")  # which may be as large as one likes
 COUNTS = {
     "simulate": "seed",
     "identify": "seed order zeros",
@@ -260,8 +245,9 @@ def table():
         lines += [[*command.split(), "--json", "same.json", f"--{n}", "same.json"] for n in names.split()[1:]]
     for command, names in NUMBERS.items():
         for name in names.split():
-            values = ["nan", "inf", "-1", "fast", "", *([] if name in ENDLESS else ["1e99"])]
-            lines += [[*command.split(), f"--{name}={bad}"] for bad in values]
+            lines += [
+                [*command.split(), f"--{name}={bad}"] for bad in ("nan", "inf", "-1", "fast", "", "1e99")
+            ]
     for command, names in COUNTS.items():
         for name in names.split():
             lines += [[*command.split(), f"--{name}={bad}"] for bad in ("-1", "1.5", "nan", "many")]

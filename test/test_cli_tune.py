@@ -151,13 +151,12 @@ def test_a_random_valve_always_has_a_result(run, tmp_path, seed, law):
     [
         (["--controller", "open_loop"], "open_loop has no gains to choose; there is nothing to tune"),
         (["--controller", "pdi"], "there is no law 'pdi'; there are arc, oarc, dcarc"),
-        (["--pause", "0.1"], "--pause is 0.1; it must lie between 0 and 0.05"),
-        (["--seed", "2147000000"], "--seed is 2147000000; it must lie between 0 and 2000000000"),
+        (["--pause", "0.1"], "--pause: 0.1 is no number from 0 to 0.05"),
         (["--set", "friction.coulomb=1.0"], "tune varies friction.coulomb from 0 to 2 V"),
         (["--command", "high.csv"], "high.csv goes to 9.5 V, for which the valve needs"),
         (["--command", "still.csv"], "the command still.csv does not move; there is nothing to tune on"),
         (["--command", "short.csv"], "short.csv lasts 0.01 s; to tune on it, it must last at least 1 s"),
-        (["--preview", "--command-drift", "50"], "leave --command-period, -jitter and -drift out"),
+        (["--preview", "--command-drift", "50"], "tune --preview takes no --command-drift"),
         (
             ["--fix", "speed", "--fix", "friction.coulomb", "--fix", "lvdt.noise"],
             "every quantity of the box is fixed; there is no spread to tune for",

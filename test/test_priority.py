@@ -72,7 +72,7 @@ def test_a_loop_on_this_host_is_seen_and_has_a_core(monkeypatch):
 def test_a_command_of_its_own_process_yields():
     script = (
         "import os; from valve_control.cli import command; from valve_control import priority; "
-        "command.run(['tune', '--threads', '0'], alone=True); print(os.sched_getscheduler(0))"
+        "command.run(['tune', '--controller', 'none'], alone=True); print(os.sched_getscheduler(0))"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.stdout.split()[-1] == str(os.SCHED_IDLE), done

@@ -10,7 +10,6 @@ ParameterError, a bag that cannot be read BagError, with one sentence. A law tha
 
 import argparse
 import contextlib
-import csv
 import html
 import inspect
 import io
@@ -29,13 +28,12 @@ import numpy as np
 from valve_control import outputs
 from valve_control.arrays import Floats
 from valve_control.cli.command import parser
-from valve_control.cli.common import option_of
+from valve_control.cli.common import OUTPUTS, option_of
 from valve_control.control.parameters import files
 from valve_control.control.parameters.ros_file import as_text, as_yaml
 from valve_control.parameter import ParameterError, Values
 from valve_control.recordings.bags.errors import BagError
 
-ENDINGS = {"json": "json", "npz": "npz", "csv": "csv", "html": "html", "output": "yaml", "figure": "svg"}
 MANY = ("band", "data_sheet")  # options that take several words
 DRAWN = ("simulate", "compare", "identify")
 
@@ -69,26 +67,16 @@ class Figure(str):
         return str(self)
 
 
-@dataclass(frozen=True, repr=False)
-class Result(Mapping[str, Any]):
-    """Result of a task; as a mapping it has the numbers of --json."""
+@dataclass(eq=False, repr=False)
+class Result(dict[str, Any]):
+    """Result of a task: the numbers of --json, and what else the task gives."""
 
     text: str  # that the command prints
     passed: bool  # whether gains are accepted, and expectations met
-    numbers: Mapping[str, Any]
     arrays: Mapping[str, Floats]  # signals by name, [samples]; of several valves VALVE/NAME
     parameters: Parameters | None  # of the fitted valve, or the accepted gains
     page: str | None  # report of a bag in HTML
     call: "Call"
-
-    def __getitem__(self, name: str) -> Any:
-        return self.numbers[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.numbers)
-
-    def __len__(self) -> int:
-        return len(self.numbers)
 
     def __repr__(self) -> str:
         return self.text
@@ -122,10 +110,10 @@ class Call(NamedTuple):
 
     def run(self, wanted: Sequence[str]) -> tuple[int, str, dict[str, dict[str, Any]]]:
         """Exit status, text and, of the ``wanted`` outputs, the contents by the end of the file's name."""
-        for name in ENDINGS.keys() & self.options.keys():
+        for name in OUTPUTS.keys() & self.options.keys():
             raise ParameterError(f"{name} is of the command line; the result of {self.task} has all outputs")
         with tempfile.TemporaryDirectory() as folder:
-            files = {name: f"{folder}/out/{name}.{ENDINGS[name]}" for name in wanted}
+            files = {name: f"{folder}/out/{name}.{OUTPUTS[name]}" for name in wanted}
             Path(folder, "out").mkdir()
             line = [self.task, *map(str, self.words), *self._options(Path(folder))]
             text, errors = io.StringIO(), _Without(f"{folder}/")
@@ -147,9 +135,10 @@ class Call(NamedTuple):
             for valve, table in contents.get("csv", {}).items()
             for name, column in table.items()
         }
-        parameters = contents.get("output", {}).get("")
-        page = contents.get("html", {}).get("")
-        return Result(text, status == 0, contents["json"][""], arrays, parameters, page, self)
+        parameters, page = (contents.get(name, {}).get("") for name in ("output", "html"))
+        result = Result(text, status == 0, arrays, parameters, page, self)
+        result.update(contents["json"][""])
+        return result
 
     def _options(self, folder: Path) -> list[str]:
         files = [*self.parameters, *_several(self.options.get("params_file", []))]
@@ -232,13 +221,11 @@ def _contents(file: Path) -> Iterator[tuple[str, Any]]:
             yield end, load(path)._replace(name=f"gains{end}.yaml")
         else:
             text = path.read_text(encoding="utf-8")
-            yield end, json.loads(text) if kind == ".json" else _columns(text) if kind == ".csv" else text
-
-
-def _columns(text: str) -> dict[str, Floats]:
-    names = next(csv.reader([text.partition("\n")[0]]))
-    table = np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1, ndmin=2)
-    return dict(zip(names, table.T, strict=True))
+            if kind == ".csv":
+                table = np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1, ndmin=2)
+                yield end, dict(zip(text.partition("\n")[0].split(","), table.T, strict=True))
+            else:
+                yield end, json.loads(text) if kind == ".json" else text
 
 
 def load(path: str | os.PathLike[str]) -> Parameters:
@@ -290,7 +277,7 @@ def replay(bag: str | os.PathLike[str], *parameters: Source, **options: Any) -> 
 
 def _name_options() -> None:
     """Add the names of its options to the docstring of each task, for help()."""
-    commands, hidden = parser(), {"task", "run", "bag", "bags", *ENDINGS}
+    commands, hidden = parser(), {"task", "run", "bag", "bags", *OUTPUTS}
     for task, words in (
         (simulate, []), (compare, []), (identify, []), (tune, []), (margins, []),
         (analyze, ["-"]), (replay, ["-"]),

@@ -17,7 +17,7 @@ GRACE = 0.5
 # Time from one look at where the command is to the next, s.
 LOOK = 0.002
 # Modules whose Python code numba runs while it makes the record that a compiled function returns.
-MAKING_RECORDS = ("namedtuple_", "numba.core.serialize", "numba.experimental.structref")
+MAKING_RECORDS = ("namedtuple_", "numba.core.serialize")
 _since: float | None = None
 _decided = False
 _watched: set[int] = set()

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from research import running
-from valve_control.cli.common import Parser, check_outputs, check_processes, say, write_json
-from valve_control.parameter import ParameterError
+from valve_control.cli.common import MOST_THREADS, Parser, check_outputs, say, within, write_json
 
 if TYPE_CHECKING:
     from research.axes.study import Result
@@ -24,11 +23,13 @@ def _options() -> Parser:
         "Random axes under five valves: as delivered, under three controllers, and an ideal "
         "servo valve of 100 Hz; each axis with half of its largest stable gain. docs/howto/axes.md.",
     )
-    axes.add_argument("--axes", type=int, default=200, metavar="N", help="how many random axes (200)")
+    axes.add_argument(
+        "--axes", type=within(1, 100_000), default=200, metavar="N", help="how many random axes (200)"
+    )
     axes.add_argument(
         "--upper", choices=("axis_pid", "axis_arc"), default="axis_pid", help="upper level (axis_pid)"
     )
-    axes.add_argument("--threads", type=int, metavar="N", help="threads (all cores)")
+    axes.add_argument("--threads", type=within(1, MOST_THREADS), metavar="N", help="threads (all cores)")
     axes.add_argument(
         "--references", metavar="FOLDER", help="with Hopsan's Position Servo.hvd, to be compared"
     )
@@ -42,11 +43,7 @@ def _axes(arguments: argparse.Namespace) -> None:
 
     from research.axes import hopsan, study
 
-    check_outputs(arguments, (), [arguments.figure])
-    if not 1 <= arguments.axes <= 100_000:
-        raise ParameterError(f"--axes is {arguments.axes}; it must lie between 1 and 100000")
-    if arguments.threads is not None:
-        check_processes("threads", arguments.threads)
+    check_outputs(arguments)
     against = {} if arguments.references is None else hopsan.compare(Path(arguments.references))
     with tqdm(total=arguments.axes * len(study.VALVES), unit="axis") as bar:
         found = study.study(arguments.axes, arguments.threads, bar.update, arguments.upper)

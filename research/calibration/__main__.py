@@ -4,7 +4,6 @@
 
 import argparse
 import math
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,19 +13,23 @@ import numpy as np
 from research import running
 from research.calibration import objective, search
 from research.calibration.space import DIMENSIONS, Settings, changed, values_at
+from research.paper import PAPER_TABLE_1
 from valve_control import interrupts, outputs
 from valve_control.cli.common import (
+    CORES,
     MOST_SEED,
-    Progress,
+    MOST_THREADS,
     check_outputs,
-    check_processes,
+    numbers,
+    progress,
+    within,
     write_json,
     wrote,
 )
-from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices
+from valve_control.control.analysis.indices import Indices
 from valve_control.control.parameters import ros_file
 from valve_control.control.parameters.table import NODES
-from valve_control.parameter import ParameterError, Values, defaults, updated
+from valve_control.parameter import Values, defaults, updated
 
 EVALUATIONS = 40_000
 POPULATION = 40  # of the first CMA-ES
@@ -49,16 +52,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         "Search the simulated valve (friction, gain, LVDT and other quantities that the paper does not "
         "print) on which PID, ARC and OARC give the paper's Table 1.",
     )
-    parser.add_argument("--search-seed", type=int, default=1, metavar="N", help="seed of the search (1)")
-    parser.add_argument(
-        "--evaluations",
-        type=int,
-        default=EVALUATIONS,
-        metavar="N",
-        help=f"valves to simulate ({EVALUATIONS})",
-    )
-    parser.add_argument(
-        "--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="processes (all cores)"
+    numbers(
+        parser,
+        ("search-seed", within(0, MOST_SEED), 1, "N", "seed of the search (%(default)s)"),
+        ("evaluations", within(1, MOST), EVALUATIONS, "N", "valves to simulate (%(default)s)"),
+        ("processes", within(1, MOST_THREADS), CORES, "N", "processes (all cores)"),
     )
     parser.add_argument(
         "--output", metavar="FILE", help="ROS 2 parameter file of valve, command and controllers"
@@ -67,25 +65,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _calibrate(arguments: argparse.Namespace) -> int:
-    check_outputs(arguments, [arguments.output])
-    check_processes("processes", arguments.processes)
-    for name, low, high in (("evaluations", 1, MOST), ("search_seed", 0, MOST_SEED)):
-        value = getattr(arguments, name)
-        if not low <= value <= high:
-            raise ParameterError(
-                f"--{name.replace('_', '-')} is {value}; it must lie between {low} and {high}"
-            )
+    check_outputs(arguments)
     base = paper_settings()
     problem = search.Problem(base, PAPER_TABLE_1, DIMENSIONS, NOISE_SEEDS)
-    progress = Progress(arguments.evaluations, "valves")
-    found = search.search(
-        problem,
-        arguments.search_seed,
-        arguments.evaluations,
-        POPULATION,
-        arguments.processes,
-        lambda done, best: progress(done, f", best cost {best:.4f}"),
-    )
+    with progress(arguments.evaluations, "valves") as bar:
+
+        def show(done: int, best: float) -> None:
+            bar.set_postfix_str(f"best cost {best:.4f}", refresh=False)
+            bar.update(done - bar.n)
+
+        count, processes = arguments.evaluations, arguments.processes
+        found = search.search(problem, arguments.search_seed, count, POPULATION, processes, show)
     stopped = found.evaluations < arguments.evaluations
     if stopped:
         print(

@@ -24,13 +24,13 @@ from research.campaigns.processes import (
     tool_options,
     wait_until,
 )
+from research.paper import PAPER_TABLE_1
 from valve_control import outputs
 from valve_control.arrays import Floats
 from valve_control.cli import demo
 from valve_control.control.analysis import limit_cycle
 from valve_control.control.analysis.figures import Trace, draw_traces
-from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices, indices
-from valve_control.control.analysis.tables import HEADER, index_row
+from valve_control.control.analysis.indices import HEADER, Indices, index_row, indices
 from valve_control.control.parameters import build
 from valve_control.control.simulation import offline
 from valve_control.parameter import Values

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from research.paper import PAPER_TABLE_1
 from research.paper.figures import Figure
 from research.paper.runs import FEEDBACK
 from research.paper.traces import Trace
 from valve_control import outputs
 from valve_control.control.analysis import page
 from valve_control.control.analysis.figures import draw_columns
-from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices, indices
+from valve_control.control.analysis.indices import Indices, indices
 
 NEAR = 0.05  # relative deviation that counts as reproduced
 

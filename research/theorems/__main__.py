@@ -3,7 +3,6 @@
 """``python -m research.theorems``: both theorems, and the stability of dcarc, on random valves."""
 
 import argparse
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -11,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from research import running
-from valve_control.cli.common import Parser, check_outputs, check_processes, say, write_json
+from valve_control import outputs
+from valve_control.cli.common import CORES, MOST_THREADS, Parser, check_outputs, say, within, write_json
 from valve_control.parameter import ParameterError
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def _options() -> Parser:
     )
     theorems.add_argument("--seed", type=int, default=1, metavar="N", help="seed of valves and motions (1)")
     theorems.add_argument(
-        "--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="(all cores)"
+        "--processes", type=within(1, MOST_THREADS), default=CORES, metavar="N", help="(all cores)"
     )
     theorems.add_argument("--figure", metavar="FILE", help="the theorems as PNG or SVG")
     theorems.add_argument("--dcarc-figure", metavar="FILE", help="the stability of dcarc as PNG or SVG")
@@ -70,7 +70,6 @@ def _progress(title: str) -> Iterator["Progress"]:
 def _theorems(arguments: argparse.Namespace) -> None:
     from research.theorems import adaptive, figures, learning, loop, robust, sampling, tables
 
-    check_processes("processes", arguments.processes)
     for name in COUNTS:
         if getattr(arguments, name) < 1:
             raise ParameterError(f"--{name.replace('_', '-')} must be at least 1")
@@ -83,11 +82,9 @@ def _theorems(arguments: argparse.Namespace) -> None:
     drawn: dict[str, list[Path]] = {}
     if folder is not None:
         drawn = {name: [folder / f"{name}.{kind}" for kind in ("png", "svg")] for name in ERRATA_FIGURES}
-    check_outputs(
-        arguments,
-        [str(p) for paths in drawn.values() for p in paths],
-        [arguments.figure, arguments.dcarc_figure],
-    )
+    more = [arguments.dcarc_figure] if arguments.dcarc_figure is not None else []
+    check_outputs(arguments, *(str(p) for paths in drawn.values() for p in paths), *more)
+    outputs.check_figure(arguments.dcarc_figure)
     seed, processes = arguments.seed, arguments.processes
     with _progress("bound on V2") as progress:
         bound = robust.experiment(arguments.valves, seed, processes=processes, progress=progress)

@@ -77,7 +77,8 @@ def critical_period(weight: float, gain: float = 1.0) -> float:
 
     def excess(period: float) -> float:
         p = oarc.build(_controller(weight, period))
-        return abs(stability.pole_of(oarc.LAW, p, stability.believed(oarc.LAW, p, gain))) - 1.0
+        own = stability.believed(oarc.LAW, p)
+        return abs(stability.pole_of(oarc.LAW, p, own._replace(b=gain * own.b))) - 1.0
 
     grid = np.geomspace(PERIODS[0], LONGEST, 25)
     for before, after in itertools.pairwise(grid.tolist()):

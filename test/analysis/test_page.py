@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valve_control.control.analysis.figures import Line, Plot
+from valve_control.control.analysis.figures import Line, Plot, Trace, draw_traces
 from valve_control.control.analysis.page import envelope, figure, page, table
 from valve_control.control.analysis.spectra import spectrum
 
@@ -19,6 +19,14 @@ def test_page_is_whole_and_loads_nothing():
     outside = re.sub(r"<script>.*?</script>", "", text, flags=re.S)
     assert "http" not in outside
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)\s*=", text)
+
+
+def test_a_large_error_does_not_hide_the_small_ones(tmp_path):
+    time = np.linspace(0.0, 1.0, 100)
+    runs = {name: Trace(time, time, time + size, time) for name, size in (("good", 0.01), ("bad", 0.1))}
+    draw_traces(tmp_path / "both.svg", runs, "title")
+    text = (tmp_path / "both.svg").read_text()
+    assert "<!-- small errors [mV] -->" in text and "<!-- bad: 100 mV rms, 10 % of stroke -->" in text
 
 
 def test_spectrum_of_a_sine_stands_at_its_frequency_with_its_power():

@@ -96,10 +96,10 @@ def test_changes_follow_one_another_while_an_answer_is_awaited():
 
         for count, values in enumerate(({"kp": 2.0}, {"ki": 0.0}), 1):
             await asyncio.gather(machine.change(valve, node, values), answered(count))
-        await asyncio.gather(machine.undo(valve, node), answered(3))
+        await asyncio.gather(machine.act(valve, node, "undo"), answered(3))
         assert node.values == {"kp": 2.0, "ki": 20.0}
-        redo = asyncio.create_task(machine.redo(valve, node))
-        undo = asyncio.create_task(machine.undo(valve, node))
+        redo = asyncio.create_task(machine.act(valve, node, "redo"))
+        undo = asyncio.create_task(machine.act(valve, node, "undo"))
         await answered(4)
         await redo
         assert node.values == {"kp": 2.0, "ki": 0.0}
@@ -175,16 +175,12 @@ def test_undo_and_redo_lead_through_all_states(acts):
     changes, values = Changes(), dict.fromkeys(NAMES, 0)
     past, future = [dict(values)], []
     for k, act in enumerate(acts):
-        if act == "undo":
-            values.update(changes.back())
-            if changes.done:
-                changes.went_back()
-                future.append(past.pop())
-        elif act == "redo":
-            values.update(changes.forth())
-            if changes.undone:
-                changes.went_forth()
-                past.append(future.pop())
+        if act in ("undo", "redo"):
+            if (change := changes.newest(act)) is not None:
+                values.update(change.before if act == "undo" else change.after)
+                changes.acted(act, change)
+                source, target = (past, future) if act == "undo" else (future, past)
+                target.append(source.pop())
         elif after := differing(values, act):
             changes.add(Change(10.0 * k, {n: values[n] for n in after}, after, "here"), 10.0 * k)
             values.update(after)
@@ -201,10 +197,10 @@ def test_a_slider_that_is_drawn_is_one_change():
 
     for k in range(20):
         add(0.1 * k, {"k1": float(k)}, {"k1": k + 1.0})
-    assert len(changes.done) == 1 and changes.back() == {"k1": 0.0}
+    assert len(changes.done) == 1 and changes.newest("undo").before == {"k1": 0.0}
     # A node that takes long to answer tears no gesture apart: the pause counts, not the wait.
     add(5.0, {"k1": 20.0}, {"k1": 21.0}, asked=2.0)
-    assert len(changes.done) == 1 and changes.back() == {"k1": 0.0}
+    assert len(changes.done) == 1 and changes.newest("undo").before == {"k1": 0.0}
     add(6.5, {"k2": 1.0}, {"k2": 2.0})
     add(9.0, {"k2": 2.0}, {"k2": 3.0})
     assert [change.after for change in changes.done] == [{"k1": 21.0}, {"k2": 2.0}, {"k2": 3.0}]

@@ -204,7 +204,7 @@ def test_the_check_of_stability_has_the_poles_of_filter_and_regulator(model):
     observer = (o.a @ (np.eye(n + 1) - np.outer(gain, o.c))) * scale / scale[:, None]
     regulated = (o.a[:n, :n] - np.outer(o.b[:n], p.feedback[:n])) * scale[:n] / scale[:n, None]
     expected = max(np.max(np.abs(np.linalg.eigvals(m))) for m in (observer, regulated))
-    found = stability.pole_of(dcarc.LAW, p, stability.believed(dcarc.LAW, p, 1.0))
+    found = stability.pole_of(dcarc.LAW, p, stability.believed(dcarc.LAW, p))
     assert abs(found) == pytest.approx(expected, abs=1e-5)
 
 

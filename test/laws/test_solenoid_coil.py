@@ -193,8 +193,6 @@ def test_the_loop_with_a_dead_time_has_the_poles_of_filter_and_regulator(delay):
     """Feedback of the state when the voltage begins to act leaves the poles of the loop without dead time."""
     p = law(dcarc__actuator_delay=delay, dcarc__coil=COIL)
     free = law(dcarc__coil=COIL)
-    poles = [
-        abs(stability.pole_of(dcarc.LAW, one, stability.believed(dcarc.LAW, one, 1.0))) for one in (p, free)
-    ]
+    poles = [abs(stability.pole_of(dcarc.LAW, one, stability.believed(dcarc.LAW, one))) for one in (p, free)]
     assert poles[0] == pytest.approx(poles[1], abs=1e-5)
     assert stability.warning(dcarc.LAW, p) == ""

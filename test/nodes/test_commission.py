@@ -374,8 +374,8 @@ def test_killed_it_leaves_the_valve_at_neutral_and_can_be_undone(ros, tmp_path):
     [
         (["--undo", "--folder", "nowhere"], "there is no commissioning in nowhere"),
         (["--max-voltage", "4", "--travel", "2"], "there is no controller /controller"),
-        (["--max-voltage", "-1"], "--max-voltage is -1; it must be above 0"),
-        (["--activate"], "--activate goes with --undo"),
+        (["--max-voltage", "-1"], "--max-voltage: -1 is no number from 0.1"),
+        (["--activate"], "commission without --undo takes no --activate"),
         (["--node", "a b"], "--node a b is no full name of a node"),
         (["--controller", "pidd"], "invalid choice"),
     ],

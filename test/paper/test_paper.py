@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
+from research.paper import PAPER_TABLE_1
 from research.paper.__main__ import main
-from valve_control.control.analysis.indices import PAPER_TABLE_1
 
 
 def test_table_1_is_reproduced(tmp_path):

@@ -10,7 +10,8 @@ import pytest
 from research.calibration import __main__ as calibration
 from research.calibration import objective, search
 from research.calibration.space import DIMENSIONS, changed, values_at
-from valve_control.control.analysis.indices import PAPER_TABLE_1, Indices
+from research.paper import PAPER_TABLE_1
+from valve_control.control.analysis.indices import Indices
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import NODES
 from valve_control.control.simulation import offline

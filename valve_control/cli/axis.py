@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
 from valve_control.cli.common import (
-    check_outputs,
+    changes_of,
     deliver,
+    law_option,
+    names_of_files,
     output_group,
     parameter_options,
-    tell_notes,
     write_json,
     wrote,
 )
+from valve_control.control.analysis.figures import Line, Plot, draw_columns
+from valve_control.control.compiling import explained
 from valve_control.control.laws.registry import LAWS
-from valve_control.parameter import Values, updated
+from valve_control.parameter import updated
 
 if TYPE_CHECKING:
     from valve_control.axis.run import Run, Setup
@@ -33,8 +36,9 @@ def add_commands(commands: Any) -> None:
         "parameters' lists the parameters of axis_simulator and axis_controller.",
     )
     group = axis.add_argument_group("simulation")
-    group.add_argument("--controller", choices=LAWS, help="law of the valve (default: arc)")
-    group.add_argument("--upper", metavar="LEVEL", help="upper level: axis_pid or axis_arc (axis_pid)")
+    law_option(group, "law of the valve (default: arc)")
+    text = "upper level: axis_pid or axis_arc (axis_pid)"
+    group.add_argument("--upper", dest="upper_level", metavar="LEVEL", help=text)
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (3.0)")
     group.add_argument("--seed", type=int, metavar="N", help="seed of the sensors' noise (1)")
     parameter_options(group, "any parameter of axis, upper level, valve or its controller")
@@ -42,30 +46,12 @@ def add_commands(commands: Any) -> None:
     axis.set_defaults(run=_axis)
 
 
-def _settings(arguments: argparse.Namespace) -> dict[str, Values]:
-    from valve_control.axis import run
-    from valve_control.axis.axis_parameters import AXIS_NODES
-    from valve_control.control.parameters import files
-
-    direct: dict[str, dict[str, Any]] = {
-        "controller": {"controller": arguments.controller},
-        "axis_controller": {"duration": arguments.duration, "upper_level": arguments.upper},
-        "axis_simulator": {"seed": arguments.seed},
-    }
-    notes: list[str] = []
-    changes = files.given(arguments.params_file, direct, arguments.set, notes, AXIS_NODES)
-    tell_notes(notes)
-    begun = run.default_settings()
-    return {node: updated(table, begun[node], changes[node]) for node, table in AXIS_NODES.items()}
-
-
 def _axis(arguments: argparse.Namespace) -> None:
     from valve_control.axis import run
-    from valve_control.control.compiling import explained
-    from valve_control.control.laws.registry import LAWS
+    from valve_control.axis.axis_parameters import AXIS_NODES
 
-    check_outputs(arguments, [arguments.csv], [arguments.figure])
-    setup = run.setup(_settings(arguments))
+    usual, changes = run.default_settings(), changes_of(arguments, AXIS_NODES)
+    setup = run.setup({n: updated(table, usual[n], changes[n]) for n, table in AXIS_NODES.items()})
     with explained(LAWS[setup.law].title):
         found = run.simulate(setup)
     i = found.indices
@@ -80,7 +66,8 @@ def _axis(arguments: argparse.Namespace) -> None:
         columns = {"time": found.time, **found.signals}
         deliver(arguments, arguments.csv, outputs.csv_text(columns, "%.10g"))
     if arguments.figure is not None:
-        _draw(Path(arguments.figure), setup, found)
+        title = f"axis under {setup.level}, valve under {setup.law} ({names_of_files(arguments)})"
+        _draw(Path(arguments.figure), found, title)
         wrote(arguments, arguments.figure)
     write_json(
         arguments, {"controller": setup.law, "upper_level": setup.level, **i._asdict(), **_extremes(found)}
@@ -108,9 +95,7 @@ def _notes(setup: "Setup", found: "Run") -> str:
     return f"{text}; the piston meets a stop" if meets else text
 
 
-def _draw(path: Path, setup: "Setup", found: "Run") -> None:
-    from valve_control.control.analysis.figures import Line, Plot, draw_columns
-
+def _draw(path: Path, found: "Run", title: str) -> None:
     s, t = found.signals, found.time
     plots = [
         Plot("position [m]", [Line("goal", t, s["goal"], dashed=True), Line("axis", t, s["position"])]),
@@ -128,4 +113,4 @@ def _draw(path: Path, setup: "Setup", found: "Run") -> None:
             ],
         ),
     ]
-    draw_columns([path], {"": plots}, "time [s]", f"axis under {setup.law}")
+    draw_columns([path], {"": plots}, "time [s]", title)

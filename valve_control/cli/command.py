@@ -16,34 +16,22 @@ from collections.abc import Sequence
 from typing import Any
 
 from valve_control import __version__
-from valve_control.cli.common import Parser, ended, give_way
+from valve_control.cli.common import Parser, check_outputs, ended, give_way
 from valve_control.control.laws.registry import LEFT_OUT
 
 EXAMPLES = """examples:
   valve-control identify --set lvdt.noise=0.005 --output valve.yaml --figure bode.png
-  valve-control parameters arc
-  valve-control simulate --controller oarc --scenario sine --set frequency=6.0 --set amplitude=1.0
-  valve-control simulate --controller arc --params-file config/arc.yaml --json -
-  valve-control compare --params-file config/d3fxe.yaml --figure compare.png
-  valve-control study --controller oarc --valves 10000 --figure study.png
-  valve-control study --controller oarc --replay 4711 --output worst.yaml
-  valve-control axis --params-file config/axis/bench.yaml --controller pid --figure axis.png
+  valve-control simulate --controller oarc --scenario sine --set frequency=6.0 --figure sine.png
+  valve-control tune --controller dcarc --params-file valve.yaml --output tuned.yaml
   valve-control export --controller oarc --params-file config/d3fxe.yaml --output oarc_in_c
-  valve-control tune --controller dcarc --max-chatter 0.25 --output tuned.yaml
-  valve-control margins --controller dcarc --params-file tuned.yaml --box
-  valve-control commission --max-voltage 4 --travel 2
   valve-control analyze my_bag --html report.html --expect 'e_rms<0.02'
-  valve-control analyze my_bag --map spool_position=/joint_states.position[0]*250
-  valve-control replay my_bag --mode shadow --controller oarc
   valve-control replay my_bag --mode what-if --set arc.k1=150
-  valve-control compare monday_bag tuesday_bag --html both.html
-  valve-control bag recover my_bag
 """
 
 
-GROUPS = {  # in the order of the help; others of a group follow
+GROUPS = {  # of the help, with their commands
     "your valve": ("identify", "parameters"),
-    "simulate": ("simulate", "compare", "study", "tune", "margins", "axis"),
+    "simulate": ("simulate", "compare", "study", "tune", "margins", "axis", "demo"),
     "the machine": ("commission", "export"),
     "recordings": ("analyze", "replay", "bag"),
 }
@@ -70,24 +58,18 @@ class Commands:
         )
         self.parsers: dict[str, argparse.ArgumentParser] = {}
         self._texts: dict[str, str] = {}
-        self._groups: dict[str, str] = {}
         for module in pkgutil.iter_modules([os.path.dirname(__file__)]):
             if module.name not in ("__main__", "command"):
                 part = importlib.import_module(f"valve_control.cli.{module.name}")
                 if hasattr(part, "add_commands"):
                     part.add_commands(self)
         for title, names in GROUPS.items():
-            others = [name for name, group in self._groups.items() if group == title and name not in names]
-            self.top.add_argument_group(title, "\n".join(map(self._line, (*names, *others))))
+            self.top.add_argument_group(title, "\n".join(map(self._line, names)))
 
-    def add_parser(self, name: str, help: str, group: str = "", **options: Any) -> argparse.ArgumentParser:
-        """Add and return the parser of the sub-command ``name``; ``help`` is its line in the list, or "".
-
-        ``group``: the one of GROUPS at whose end it stands, unless it is listed there.
-        """
+    def add_parser(self, name: str, help: str, **options: Any) -> argparse.ArgumentParser:
+        """Add and return the parser of the sub-command ``name``; ``help`` is its line in the list."""
         parser: argparse.ArgumentParser = self._commands.add_parser(name, **options)
-        if help:
-            self.parsers[name], self._texts[name], self._groups[name] = parser, help, group
+        self.parsers[name], self._texts[name] = parser, help
         return parser
 
     def _line(self, name: str) -> str:
@@ -116,4 +98,4 @@ def run(argv: Sequence[str], alone: bool = False) -> int:
             print(f"valve-control: {sentence}", file=sys.stderr)
     if alone and arguments.task in SEARCHES:
         give_way(arguments)
-    return ended("valve-control", arguments.task, lambda: arguments.run(arguments))
+    return ended("valve-control", arguments.task, lambda: arguments.run(check_outputs(arguments)))

@@ -3,15 +3,28 @@
 """Defines the sub-command `commission`: tests, tunes and verifies a running valve over ROS, and undoes it."""
 
 import argparse
-import math
+import contextlib
 import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control import interrupts, outputs, priority
-from valve_control.cli.common import Progress, check_processes, check_search, say, write_json, wrote
-from valve_control.control.laws.registry import LAWS
+from valve_control import interrupts, priority
+from valve_control.cli.common import (
+    BUDGET,
+    SEED,
+    THREADS,
+    VALVES,
+    law_option,
+    numbers,
+    output_group,
+    progress,
+    refuse,
+    say,
+    within,
+    write_json,
+    wrote,
+)
 from valve_control.design.commissioning.bench import Fault, Plan, SafetyLimits, check
 from valve_control.parameter import ParameterError, number, word
 
@@ -24,21 +37,7 @@ if TYPE_CHECKING:
 CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
 OF_PLAN = ("budget", "valves", "unseen", "seed", "threads", "sensor_delay", "alone")  # options
 FAILED = 1  # exit status if the parameters are those from before
-NUMBERS: dict[str, tuple[tuple[str, float | None, str, str], ...]] = {  # name, usual, unit, help
-    "limits": (
-        ("max-voltage", 4.0, "V", "largest voltage in both directions (4 V)"),
-        ("travel", 2.0, "V", "largest reading in both directions (2 V)"),
-    ),
-    "tuning": (
-        ("max-chatter", None, "C_U", f"limit of c_u, kept if given ({CHATTER:g}, or more if none keep it)"),
-        ("sensor-delay", 0.0, "S", "the sensor's part of the dead time (0 s), not the actuator's"),
-        ("budget", 200, "N", "number of sets of gains (200)"),
-        ("valves", 6, "N", "number of valves in the search (6)"),
-        ("unseen", 32, "N", "number of valves in the verification (32)"),
-        ("seed", 1, "N", "seed of the search (1)"),
-        ("threads", priority.spare_cores(), "N", "number of threads (all cores but one)"),
-    ),
-}  # fmt: skip
+KEPT = f"limit of c_u, kept if given ({CHATTER:g}, or more if none keep it)"
 
 
 def add_commands(commands: Any) -> None:
@@ -54,16 +53,25 @@ def add_commands(commands: Any) -> None:
     commission.add_argument(
         "--node", default="/controller", metavar="NAME", help="full name of the controller node (/controller)"
     )
-    groups = {title: commission.add_argument_group(title) for title in NUMBERS}
-    groups["tuning"].add_argument(
-        "--controller", choices=LAWS, metavar="LAW", help="law to tune (the present law)"
+    numbers(
+        commission.add_argument_group("limits"),
+        ("max-voltage", within(0.1, 1e3), 4.0, "V", "largest voltage in both directions (%(default)g V)"),
+        ("travel", within(0.2, 1e3), 2.0, "V", "largest reading in both directions (%(default)g V)"),
     )
-    for title, numbers in NUMBERS.items():
-        for name, usual, metavar, text in numbers:
-            kind = int if isinstance(usual, int) else float
-            groups[title].add_argument(f"--{name}", type=kind, default=usual, metavar=metavar, help=text)
+    group = commission.add_argument_group("tuning")
+    law_option(group, "law to tune (the present law)")
+    numbers(
+        group,
+        ("max-chatter", within(1e-6, 1e3), None, "C_U", KEPT),
+        ("sensor-delay", within(0.0, 1.0), 0.0, "S", "part of the dead time that is the sensor's (0 s)"),
+        ("budget", BUDGET, 200, "N", "number of sets of gains (%(default)s)"),
+        ("valves", VALVES, 6, "N", "number of valves in the search (%(default)s)"),
+        ("unseen", VALVES, 32, "N", "number of valves in the verification (%(default)s)"),
+        SEED,
+        (*THREADS[:2], priority.spare_cores(), "N", "number of threads (all cores but one)"),
+    )
     text = "tune this law only, and no PID that could have a smaller error"
-    groups["tuning"].add_argument("--alone", action="store_true", help=text)
+    group.add_argument("--alone", action="store_true", help=text)
     group = commission.add_argument_group("course of the commissioning")
     group.add_argument("--yes", action="store_true", help="do not ask before each step")
     group.add_argument(
@@ -73,10 +81,8 @@ def add_commands(commands: Any) -> None:
     )
     group.add_argument("--undo", action="store_true", help="restore the previous parameters and exit")
     group.add_argument("--activate", action="store_true", help="with --undo: activate the controller too")
-    output = commission.add_argument_group("output")
     text = "folder of the previous parameters and the report (out/commission)"
-    output.add_argument("--folder", default="out/commission", help=text)
-    output.add_argument("--json", metavar="FILE", help="result as JSON; - for standard output alone")
+    output_group(commission).add_argument("--folder", default="out/commission", help=text)
     commission.set_defaults(run=_commission)
 
 
@@ -98,27 +104,13 @@ def _commission(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    from valve_control.design.identification import dead_time
-
-    check_processes("threads", arguments.threads)
-    dead_time.OF_SENSOR.check(arguments.sensor_delay)
-    check_search(arguments.seed, arguments.valves, arguments.unseen, arguments.budget)
-    for name in ("max_voltage", "travel", "max_chatter"):
-        value = getattr(arguments, name)
-        if value is not None and not 0.0 < value < math.inf:
-            raise ParameterError(f"--{name.replace('_', '-')} is {value:g}; it must be above 0, and finite")
-    if arguments.activate and not arguments.undo:
-        raise ParameterError("--activate goes with --undo; a commissioning activates the controller itself")
-    if arguments.resume is not None:
-        if arguments.undo:
-            raise ParameterError("--resume goes on with a commissioning, and --undo takes it back; give one")
-        arguments.folder = arguments.resume
+    name, who = ("resume", "with --undo") if arguments.undo else ("activate", "without --undo")
+    refuse(arguments, [name], f"commission {who}")
+    arguments.folder = arguments.resume or arguments.folder
     if not all(part.isidentifier() for part in arguments.node.strip("/").split("/")):
         raise ParameterError(f"--node {arguments.node} is no full name of a node, such as /boom/controller")
     if not arguments.undo and not arguments.yes and not sys.stdin.isatty():
         raise ParameterError("nobody can be asked before each step; --yes commissions without questions")
-    if arguments.json not in (None, "-"):
-        outputs.check([arguments.json])
 
 
 def _folder(arguments: argparse.Namespace) -> "Folder":
@@ -179,12 +171,10 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     aside = folder.begin(before)
     if aside is not None:
         say(arguments, f"moved the files of an earlier commissioning to {aside}")
-    reversal = sequence.Reversal()
+    reversal, steps = sequence.Reversal(), _Steps(arguments, folder)
     try:
-        with sequence.reversible(controller, before, reversal):
-            result = sequence.Commissioning(
-                controller, plan, before, _Steps(arguments, folder), records
-            ).run()
+        with contextlib.closing(steps), sequence.reversible(controller, before, reversal):
+            result = sequence.Commissioning(controller, plan, before, steps, records).run()
             folder.finish(result, "valve-control " + " ".join(arguments.line))
     except BaseException as error:
         _report_end(folder, reversal, error)
@@ -214,7 +204,7 @@ class _Steps:
 
     def __init__(self, arguments: argparse.Namespace, folder: "Folder") -> None:
         self.tested, self.fitted, self.refused = folder.tested, folder.fitted, folder.refused
-        self._arguments, self._step, self._progress = arguments, "", Progress(0, "")
+        self._arguments, self._step, self._bar = arguments, "", progress(0, "")
 
     def confirm(self, text: str) -> bool:
         """Whether to go on; the question says what comes next."""
@@ -227,9 +217,16 @@ class _Steps:
     def progress(self, name: str, done: float, total: float) -> None:
         """Say that the step ``name`` begins, and now and then that ``done`` of ``total`` are over."""
         if name != self._step:
-            self._step, self._progress = name, Progress(round(total), f"({name})")
+            self.close()
+            self._step, self._bar = name, progress(round(total), f"({name})")
             print(f"{name} …", file=sys.stderr, flush=True)
-        self._progress(round(min(done, total)))
+        self._bar.update(round(min(done, total)) - self._bar.n)
+        if done >= total:
+            self.close()
+
+    def close(self) -> None:
+        """End the bar of the last step."""
+        self._bar.close()
 
 
 def _report(arguments: argparse.Namespace, result: "Result", folder: "Folder") -> None:

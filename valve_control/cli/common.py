@@ -1,24 +1,33 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Holds what the sub-commands share: parser, checks of outputs and processes, progress, JSON."""
+"""Holds what the sub-commands share: parser, options, checks of outputs, progress, JSON."""
 
 import argparse
 import contextlib
 import os
 import sys
-import time
-from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from valve_control import interrupts, outputs, priority
 from valve_control.control.compiling import LawError
-from valve_control.control.laws.registry import LEFT_OUT
-from valve_control.parameter import ParameterError
+from valve_control.control.laws.registry import LAWS, LEFT_OUT
+from valve_control.control.parameters import files
+from valve_control.control.parameters.table import NODES
+from valve_control.parameter import ParameterError, Table
 from valve_control.recordings.bags.errors import BagError
 
-MOST_PER_CORE = 4  # processes or threads
-MOST_SEED, MOST_VALVES = 2_000_000_000, 100_000  # of a search
-SOON, EVERY = 2.0, 5.0  # s  to the first line of progress, and from one to the next
+if TYPE_CHECKING:
+    from valve_control.recordings.recording import Recording
+
+MOST_SEED, MOST_VALVES = 2_000_000_000, 100_000  # of a search, with room for what is added to its seed
+CORES = os.cpu_count() or 1
+MOST_THREADS = 4 * CORES  # or processes
+SOON, EVERY = 2.0, 5.0  # s  to the first look at the progress, and from one to the next
+INPUTS = ("params_file", "command", "source", "table", "bag", "bags", "config")  # options that name files
+OUTPUTS = {"json": "json", "npz": "npz", "csv": "csv", "html": "html", "output": "yaml", "figure": "svg"}
+SETTINGS = ("controller", "upper_level", "valve", "scenario", "sample_period", "duration", "seed")
 
 
 class Parser(argparse.ArgumentParser):
@@ -26,18 +35,62 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with status 2."""
-        for name, sentence in LEFT_OUT.items():
-            if f"invalid choice: '{name}'" in message:
-                self.exit(2, f"{self.prog}: {sentence}\n")
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
-INPUTS = ("params_file", "command", "source", "table", "bag", "bags", "config")  # options that name files
+def within(least: float, most: float) -> Callable[[str], float]:
+    """Type of an option for numbers from ``least`` to ``most``, whole ones if ``least`` is."""
+    kind = type(least)
+
+    def number(word: str) -> float:
+        with contextlib.suppress(ValueError):
+            if least <= (value := kind(word)) <= most:
+                return value
+        whole = "whole " if kind is int else ""
+        raise argparse.ArgumentTypeError(f"{word} is no {whole}number from {least:g} to {most:g}")
+
+    return number
+
+
+def _law(name: str) -> str:
+    """Type of an option for a law, which says why one of another package is left out."""
+    if name in LEFT_OUT:
+        raise argparse.ArgumentTypeError(LEFT_OUT[name])
+    return name
+
+
+def law_option(group: Any, text: str = "control law (default: arc)") -> None:
+    """Add --controller, with the help ``text``."""
+    group.add_argument("--controller", type=_law, choices=LAWS, help=text)
 
 
 def option_of(name: str) -> str:
     """The option that sets the attribute ``name`` of the arguments."""
-    return {"start": "--from", "end": "--to"}.get(name, "--" + name.replace("_", "-"))
+    names = {"start": "--from", "end": "--to", "upper_level": "--upper", "bag": "BAG"}
+    return names.get(name, "--" + name.replace("_", "-"))
+
+
+def refuse(arguments: argparse.Namespace, names: Iterable[str], who: str) -> None:
+    """Raise ParameterError if one of the options ``names`` is there, which ``who`` takes not."""
+    for name in names:
+        if getattr(arguments, name) not in (None, [], False):
+            raise ParameterError(f"{who} takes no {option_of(name)}")
+
+
+Row = tuple[str, Callable[[str], float], float | str | None, str, str]
+
+
+def numbers(group: Any, *rows: Row) -> None:
+    """Add an option for one number for each of ``rows``: its name, type, usual value, metavar and help."""
+    for name, kind, usual, metavar, text in rows:
+        group.add_argument(f"--{name}", type=kind, default=usual, metavar=metavar, help=text)
+
+
+SEED: Row = ("seed", within(0, MOST_SEED), 1, "N", "seed of the search (%(default)s)")
+VALVES, BUDGET = within(1, MOST_VALVES), within(1, 10**12)  # of a search
+THREADS: Row = (
+    "threads", within(1, MOST_THREADS), CORES, "N", "number of threads (all cores; up to four for each)"
+)  # fmt: skip
 
 
 def repeated(group: Any, option: str, metavar: str, text: str) -> None:
@@ -51,62 +104,57 @@ def parameter_options(group: Any, parameters: str) -> None:
     repeated(group, "--params-file", "FILE", "ROS 2 parameter file; later ones win, --set wins over files")
 
 
-def check_outputs(
-    arguments: argparse.Namespace, files: Sequence[str | None] = (), figures: Sequence[str | None] = ()
-) -> None:
-    """Refuse outputs that cannot be written, before the work begins; ``--json`` may be ``-``."""
-    wanted = [path for path in (*files, *figures) if path is not None]
-    if "-" in wanted:
+def names_of_files(arguments: argparse.Namespace) -> str:
+    """Names of the parameter files, for the title of a figure."""
+    return ", ".join(Path(file).name for file in arguments.params_file) or "default parameters"
+
+
+def changes_of(
+    arguments: argparse.Namespace,
+    nodes: Mapping[str, Table] = NODES,
+    more: Mapping[str, Any] | None = None,
+    law: str = "",
+    recorded: bool = False,
+) -> dict[str, dict[str, Any]]:
+    """Changed values by node: of parameter files, options of SETTINGS, ``more`` and --set; later ones win.
+
+    ``law``, ``recorded``: as for ``files.given``. Notes about the files are printed, for a ``law`` among
+    several none. Raises ParameterError.
+    """
+    options = {**{name: getattr(arguments, name, None) for name in SETTINGS}, **(more or {})}
+    direct = {
+        node: {p.name: options[p.name] for p in table if p.name in options} for node, table in nodes.items()
+    }
+    notes: list[str] = []
+    changes = files.given(arguments.params_file, direct, arguments.set, notes, nodes, law, recorded)
+    tell_notes([] if law else notes)
+    return changes
+
+
+def check_outputs(arguments: argparse.Namespace, *more: str) -> argparse.Namespace:
+    """Refuse outputs that cannot be written, of OUTPUTS and ``more``; returns the ``arguments``."""
+    wanted = {name: getattr(arguments, name, None) for name in OUTPUTS}
+    if wanted["json"] == "-":
+        if sys.__stdout__ is None:
+            raise ParameterError("--json - needs standard output, which is closed")
+        wanted["json"] = None
+    paths = [path for path in (*wanted.values(), *more) if path is not None]
+    if "-" in paths:
         raise ParameterError("only --json takes - for standard output; give a file")
-    if arguments.json == "-" and sys.__stdout__ is None:
-        raise ParameterError("--json - needs standard output, which is closed")
-    if arguments.json not in (None, "-"):
-        wanted.append(arguments.json)
     inputs: list[str] = []
     for name in INPUTS:
         given = getattr(arguments, name, None) or []
         inputs += [given] if isinstance(given, str) else given
-    outputs.check(wanted, inputs)
-    for path in figures:
-        outputs.check_figure(path)
-
-
-def check_processes(name: str, count: int) -> None:
-    """Raise ParameterError for more processes or threads than this machine could use."""
-    cores = os.cpu_count() or 1
-    if not 1 <= count <= MOST_PER_CORE * cores:
-        raise ParameterError(
-            f"--{name} is {count}; it must lie between 1 and {MOST_PER_CORE * cores}, {MOST_PER_CORE} for "
-            f"each of the {cores} cores of this machine"
-        )
+    outputs.check(paths, inputs)
+    outputs.check_figure(wanted["figure"])
+    return arguments
 
 
 def give_way(arguments: argparse.Namespace) -> None:
     """Let this process run while no other wants the core, and leave one of all cores to a loop that runs."""
     priority.yield_cores()
-    if getattr(arguments, "threads", 0) == os.cpu_count() and priority.loop_runs():
+    if getattr(arguments, "threads", 0) == CORES and priority.loop_runs():
         arguments.threads = priority.spare_cores()
-
-
-def check_search(seed: int, valves: int, unseen: int, budget: int) -> None:
-    """Raise ParameterError for numbers of a search and its verification that cannot be.
-
-    The seed leaves room for what is added to it: other seeds for valves that are not seen, noise and motions.
-    """
-    for name, given, least, most in (
-        ("seed", seed, 0, MOST_SEED),
-        ("valves", valves, 1, MOST_VALVES),
-        ("unseen", unseen, 1, MOST_VALVES),
-    ):
-        if not least <= given <= most:
-            raise ParameterError(f"--{name} is {given}; it must lie between {least} and {most}")
-    if budget < 1:
-        raise ParameterError(f"--budget is {budget}; it must be at least 1")
-
-
-def fix_option(group: Any) -> None:
-    """Add the option that takes quantities out of the box of a search or study."""
-    repeated(group, "--fix", "NAME", "quantity of the box that stays constant")
 
 
 def clock_option(group: Any) -> None:
@@ -139,24 +187,35 @@ def bag_options(group: Any, sources: str = "as for analyze", of: bool = True) ->
     clock_option(group)
 
 
-class Progress:
-    """Prints a line of progress on standard error after SOON, then every EVERY, with the time left."""
+def load(arguments: argparse.Namespace, path: str, others: Sequence[str] = (), **how: Any) -> "Recording":
+    """The bag or log ``path``, read beside ``others``; ``how``: as for ``recording.load``.
 
-    def __init__(self, total: int, things: str) -> None:
-        self._total = total
-        self._things = things
-        self._first = -1
-        self._began = self._next = 0.0
+    Raises ParameterError and BagError.
+    """
+    from valve_control.recordings import mapping, recording
 
-    def __call__(self, done: int, more: str = "") -> None:
-        """Report that ``done`` are done, and print ``more``; what was done at the first call took no time."""
-        now = time.monotonic()
-        if self._first < 0:
-            self._first, self._began, self._next = done, now, now + SOON
-        elif now >= self._next and self._first < done < self._total:
-            self._next = now + EVERY
-            left = (now - self._began) * (self._total - done) / (done - self._first)
-            print(f"{done} of {self._total} {self._things}{more}, {left:.0f} s left", file=sys.stderr)
+    part: dict[str, Any] = {name: getattr(arguments, name, None) for name in ("start", "end", "clock")}
+    part |= how
+    if None not in (part["start"], part["end"]) and part["end"] <= part["start"]:
+        raise ParameterError(f"--to {part['end']:g} lies not after --from {part['start']:g}")
+    return recording.load(path, mapping.maps_of(path, arguments.map, [path, *others]), **part)
+
+
+def valve_of(arguments: argparse.Namespace, path: str, valves: Mapping[str, Any]) -> Any:
+    """The valve of a bag that --of names, or its only one. Raises BagError."""
+    from valve_control.recordings import recording
+
+    if not valves:
+        raise BagError(f"{path} has no topic of a valve")
+    return recording.chosen(path, valves, arguments.of)
+
+
+def progress(total: int, things: str, pieces: bool = True) -> Any:
+    """Bar of progress on standard error, for work in ``pieces`` that takes longer than SOON."""
+    from tqdm import tqdm
+
+    style = {"delay": SOON, "mininterval": EVERY, "leave": False, "ascii": True}
+    return tqdm(total=total, unit=f" {things}", disable=not pieces, **style)
 
 
 def say(arguments: argparse.Namespace, text: str) -> None:
@@ -196,37 +255,25 @@ def ended(program: str, task: str, work: Callable[[], int | None]) -> int:
         status = int(work() or 0)
         sys.stdout.flush()
         return status
-    except (ParameterError, BagError, LawError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 1 if isinstance(error, LawError) else 2
+    except (ParameterError, BagError) as error:
+        text, status = str(error), 2
+    except LawError as error:
+        text, status = str(error), 1
     except ModuleNotFoundError as error:
-        print(
-            f"{program}: {task} needs the Python package {error.name} (pip install {error.name})",
-            file=sys.stderr,
-        )
-        return 2
+        text, status = f"{task} needs the Python package {error.name} (pip install {error.name})", 2
     except BrokenPipeError:
-        _leave_output()
-        return 1
+        text, status = "", 1
     except OSError as error:
-        print(
-            f"{program}: {error.filename or 'output'} cannot be written: {error.strerror or error}",
-            file=sys.stderr,
-        )
-        _leave_output()
-        return 1
+        text, status = f"{error.filename or 'output'} cannot be written: {error.strerror or error}", 1
     except MemoryError:
-        print(f"{program}: {task} needs more memory than there is", file=sys.stderr)
-        return 1
+        text, status = f"{task} needs more memory than there is", 1
     except KeyboardInterrupt:
-        print(f"{program}: {task} was stopped", file=sys.stderr)
-        return interrupts.STATUS
-
-
-def _leave_output() -> None:
-    """Discard what standard output could not take, so that Python does not try again at its exit."""
+        text, status = f"{task} was stopped", interrupts.STATUS
+    if text:
+        print(f"{program}: {text}", file=sys.stderr)
     try:
         sys.stdout.flush()
-    except OSError:
+    except OSError:  # Python would try again at its exit
         with contextlib.suppress(OSError):
             sys.stdout.close()
+    return status

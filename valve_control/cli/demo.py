@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from valve_control.arrays import Floats
-from valve_control.axis.tables import ROS_NODES
-from valve_control.cli.common import check_outputs, wrote
+from valve_control.cli.common import wrote
 from valve_control.control.analysis.figures import COLOURS, Line, Plot, Trace, draw_columns
 from valve_control.control.analysis.indices import indices
 from valve_control.control.parameters import build, files, ros_file
@@ -49,25 +48,19 @@ def motion() -> dict[str, Value]:
 
 def values_of(law: str) -> dict[str, Values]:
     """All parameters of controller, simulated valve and command under ``law``. Raises ParameterError."""
-    values = {node: defaults(table) for node, table in NODES.items()}
-    for name in files_of(law):
-        changes = files.load(str(ros_file.config_folder() / name), nodes=ROS_NODES)
-        values = {node: updated(NODES[node], known, changes[node]) for node, known in values.items()}
-    values["command_source"] = updated(NODES["command_source"], values["command_source"], motion())
-    return values
+    paths = [str(ros_file.config_folder() / name) for name in files_of(law)]
+    changes = files.given(paths, {"command_source": motion()}, [])
+    return {node: updated(table, defaults(table), changes[node]) for node, table in NODES.items()}
 
 
 def settled(command: Floats, error: Floats, period: float) -> float:
     """Longest time [s] from the end of a stroke until the ``error`` [V] stays small; inf: it does not."""
     moves = np.abs(np.diff(command, prepend=command[0])) > 0.0
-    rests = np.flatnonzero(moves[:-1] & ~moves[1:]) + 1
-    longest = 0.0
-    for first in rests:
-        still = first + int(np.argmax(np.append(moves[first:], True)))
-        outside = np.flatnonzero(np.abs(error[first:still]) > BAND * STROKE)
-        last = 0 if len(outside) == 0 else int(outside[-1]) + 1
-        longest = max(longest, last * period if last < still - first else np.inf)
-    return longest
+    samples = np.arange(len(command))
+    moved = np.maximum.accumulate(np.where(moves, samples, -1))  # sample of the last move
+    outside = ~moves & (moved >= 0) & (np.abs(error) > BAND * STROKE)
+    never = np.any(outside & np.append(moves[1:], True))
+    return np.inf if never else period * float(np.max((samples - moved)[outside], initial=0))
 
 
 def draw(path: str, traces: Mapping[str, Trace], errors: Mapping[str, float], where: str) -> None:
@@ -105,7 +98,6 @@ def line(law: str, trace: Trace) -> tuple[str, float]:
 
 
 def _demo(arguments: argparse.Namespace) -> None:
-    check_outputs(arguments, [], [arguments.figure])
     traces, errors = {}, {}
     print(HEAD)
     for law in LAWS:
@@ -125,6 +117,6 @@ def _demo(arguments: argparse.Namespace) -> None:
 def add_commands(commands: Any) -> None:
     """Add `demo`."""
     text = "one slow, sticky valve without control, under the best PID, and under dcarc"
-    options = commands.add_parser("demo", help=text, group="simulate", description=f"Simulates {text}.")
+    options = commands.add_parser("demo", help=text, description=f"Simulates {text}.")
     options.add_argument("--figure", metavar="FILE", default="demo.png", help="figure to write (demo.png)")
     options.set_defaults(run=_demo, json=None)

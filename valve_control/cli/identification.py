@@ -3,24 +3,31 @@
 """Defines the sub-command `identify`: measures and fits a valve, simulated or recorded."""
 
 import argparse
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from valve_control import outputs
 from valve_control.cli.common import (
     bag_options,
+    changes_of,
     check_outputs,
     deliver,
-    option_of,
+    load,
+    numbers,
+    output_group,
+    refuse,
+    repeated,
     say,
     tell_notes,
+    valve_of,
     write_json,
     wrote,
 )
 from valve_control.cli.simulate import SCENARIOS, setup_options
+from valve_control.control.commands import arrays
+from valve_control.control.parameters import files as parameter_files
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
-from valve_control.recordings.bags.errors import BagError
 
 if TYPE_CHECKING:
     from valve_control.design.identification.experiment import Experiment
@@ -28,6 +35,10 @@ if TYPE_CHECKING:
 
 SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
 RECORDED = ("map", "of", "start", "end", "clock")
+DELAY = (
+    "dead time of the sensor (0 s); the rest of the dead time belongs to the actuator, because "
+    "readings alone cannot distinguish the two"
+)
 WRITING = ("task", "run", "line", "data_sheet", "output", "json")  # beside a data sheet
 
 
@@ -68,12 +79,8 @@ def add_commands(commands: Any) -> None:
     )
     bag_options(identify.add_argument_group("with a bag"))
     group = identify.add_argument_group("measurement and fit")
-    group.add_argument(
-        "--settle",
-        type=float,
-        metavar="S",
-        help="transient [s] that is left out at the beginning of each step (0.4)",
-    )
+    text = "transient [s] that is left out at the beginning of each step (0.4)"
+    numbers(group, ("settle", float, None, "S", text), ("sensor-delay", float, None, "S", DELAY))
     group.add_argument(
         "--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help="fit only these frequencies [Hz]"
     )
@@ -84,27 +91,12 @@ def add_commands(commands: Any) -> None:
         help="order of the model that is fitted beside the second order (default: poles, zeros and dead "
         "time are chosen by the response)",
     )
-    group.add_argument(
-        "--sensor-delay",
-        type=float,
-        metavar="S",
-        help="dead time of the sensor (0 s); the rest of the dead time belongs to the actuator, because "
-        "readings alone cannot distinguish the two",
-    )
-    output = identify.add_argument_group("output")
-    output.add_argument(
-        "--output", metavar="FILE", help="ROS 2 parameter file: valve model, compensator's model, estimates"
-    )
-    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    output.add_argument(
-        "--characteristic",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="with --friction: draw the characteristic curve in both directions as PNG or SVG, or write as "
-        "YAML the parameters linearisation.* of its inverse; again for more (--json has its 100 points)",
-    )
-    output.add_argument("--figure", metavar="FILE", help="Bode plot as PNG or SVG")
+    yaml = "ROS 2 parameter file: valve model, compensator's model, estimates"
+    output = output_group(identify, output=yaml, figure="Bode plot as PNG or SVG")
+    repeated(
+        output, "--characteristic", "FILE", "with --friction: draw the characteristic curve in both "
+        "directions as PNG or SVG, or write as YAML the parameters linearisation.* of its inverse",
+    )  # fmt: skip
     identify.set_defaults(run=_identify)
 
 
@@ -113,7 +105,9 @@ def _identify(arguments: argparse.Namespace) -> int:
 
     tables = [path for path in arguments.characteristic if Path(path).suffix.lower() in (".yaml", ".yml")]
     drawings = [path for path in arguments.characteristic if path not in tables]
-    check_outputs(arguments, [arguments.output, *tables], [arguments.figure, *drawings])
+    check_outputs(arguments, *arguments.characteristic)
+    for path in drawings:
+        outputs.check_figure(path)
     if arguments.data_sheet == []:
         say(arguments, "\n".join(row.described for row in datasheet.SHEET))
         write_json(arguments, {row.name: row.described for row in datasheet.SHEET})
@@ -151,12 +145,8 @@ def _tested(arguments: argparse.Namespace) -> "Identification":
         raise ParameterError("--characteristic comes from the slow triangle of --friction; give that too")
     if arguments.friction is not None and (arguments.friction == "") != (arguments.bag is None):
         raise ParameterError("--friction is a test of its own: give a bag for both tests or for none")
-    request = identify.Request(
-        settle=identify.SETTLE if arguments.settle is None else arguments.settle,
-        band=None if arguments.band is None else tuple(arguments.band),
-        order=arguments.order,
-        sensor_delay=arguments.sensor_delay or 0.0,
-    )
+    given = {name: getattr(arguments, name) for name in identify.Request._fields}
+    request = identify.Request(**{name: value for name, value in given.items() if value is not None})
     request.check()
     tested, triangle = _simulated(arguments) if arguments.bag is None else _recorded(arguments)
     try:
@@ -168,43 +158,24 @@ def _tested(arguments: argparse.Namespace) -> "Identification":
 
 def _of_data_sheet(arguments: argparse.Namespace) -> "Identification":
     """The valve of a data sheet."""
-    from valve_control.control.parameters import files as parameter_files
     from valve_control.design.identification import datasheet
 
     others = [name for name in vars(arguments) if name not in WRITING]
-    _refuse(arguments, others, "identify --data-sheet tests nothing, so it")
+    refuse(arguments, others, "identify --data-sheet tests nothing, so it")
     nodes = {"sheet": datasheet.SHEET}
     return datasheet.valve(parameter_files.given([], {}, arguments.data_sheet, nodes=nodes)["sheet"])
 
 
-def _refuse(arguments: argparse.Namespace, names: Iterable[str], who: str) -> None:
-    """Raise ParameterError if one of the options ``names`` is there, which ``who`` takes not."""
-    for name in names:
-        if getattr(arguments, name) not in (None, [], False):
-            raise ParameterError(f"{who} takes no {name if name == 'bag' else option_of(name)}")
-
-
 def _simulated(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | None]":
     """Tests of the simulated valve: of its response, and of its friction if it is asked for."""
-    from valve_control.control.commands import arrays
-    from valve_control.control.parameters import files as parameter_files
     from valve_control.design.identification import experiment, friction
 
-    _refuse(arguments, RECORDED, "identify without a bag")
+    refuse(arguments, RECORDED, "identify without a bag")
     if arguments.command is not None:
-        _refuse(arguments, ["scenario"], "identify with --command")
-    direct: dict[str, dict[str, Any]] = {
-        "controller": {},
-        "valve_simulator": {"valve": arguments.valve, "seed": arguments.seed},
-        "command_source": {"scenario": arguments.scenario, "duration": arguments.duration},
-    }
-    for options in direct.values():
-        options["sample_period"] = arguments.sample_period
-    notes: list[str] = []
-    changes = parameter_files.given(arguments.params_file, direct, arguments.set, notes)
+        refuse(arguments, ["scenario"], "identify with --command")
+    changes = changes_of(arguments)
     tables = {node: NODES[node] for node in ("valve_simulator", "command_source")}
     parameter_files.refuse_others(arguments.set, tables, "identify tests the valve without feedback")
-    tell_notes(notes)
     controller, valve = (
         updated(NODES[node], defaults(NODES[node]), changes[node])
         for node in ("controller", "valve_simulator")
@@ -226,20 +197,11 @@ def _simulated(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment |
 def _recorded(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | None]":
     """Tests in bags: of the response, and of the friction if it is asked for."""
     from valve_control.design.identification import recorded
-    from valve_control.recordings import mapping, recording
 
-    _refuse(arguments, SIMULATED, "identify with a bag")
+    refuse(arguments, SIMULATED, "identify with a bag")
     paths = [path for path in (arguments.bag, arguments.friction) if path is not None]
     tests = []
-    for path, start, end in (
-        (arguments.bag, arguments.start, arguments.end),
-        (arguments.friction, None, None),
-    ):
-        if path is None:
-            continue
-        maps = mapping.maps_of(path, arguments.map, paths)
-        loaded = recording.load(path, maps, start, end, clock=arguments.clock)
-        if not loaded.valves:
-            raise BagError(f"{path} has no topic of a valve")
-        tests.append(recorded.recorded(loaded, recording.chosen(path, loaded.valves, arguments.of)))
+    for path, part in zip(paths, ({}, {"start": None, "end": None}), strict=False):  # of a triangle all
+        loaded = load(arguments, path, paths, **part)
+        tests.append(recorded.recorded(loaded, valve_of(arguments, path, loaded.valves)))
     return tests[0], recorded.longest(tests[1]) if len(tests) > 1 else None

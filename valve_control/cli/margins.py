@@ -5,24 +5,25 @@
 import argparse
 import math
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from valve_control.cli.common import check_outputs, output_group, repeated, write_json
+from valve_control.cli.common import law_option, output_group, refuse, repeated, write_json
 from valve_control.cli.simulate import settings_of, valve_options
 from valve_control.cli.study import box_of
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.linear import margins, stability
+from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import NODES
+from valve_control.control.plant import registry
+from valve_control.control.simulation import offline
 from valve_control.parameter import ParameterError, word
-
-if TYPE_CHECKING:
-    from valve_control.control.linear.margins import Margins
 
 SEED = 1  # of the valves within the box
 
 
 def add_commands(commands: Any) -> None:
     """Add margins to the command's sub-commands."""
-    margins = commands.add_parser(
+    options = commands.add_parser(
         "margins",
         parents=[valve_options()],
         help="gain, phase and delay margin of given gains on a valve or a box of valves",
@@ -31,28 +32,19 @@ def add_commands(commands: Any) -> None:
         "loop, and the largest oscillation about rest that friction sustains. With --box also the worst "
         "of each over the box of valves of `study` and `tune`.",
     )
-    margins.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
-    margins.add_argument(
-        "--box",
-        action="store_true",
-        help="also find the worst margins over the box of valves around this one",
-    )
-    repeated(margins, "--fix", "NAME", "with --box: quantity that stays constant")
-    output_group(margins)
-    margins.set_defaults(run=_margins)
+    law_option(options)
+    text = "also find the worst margins over the box of valves around this one"
+    options.add_argument("--box", action="store_true", help=text)
+    repeated(options, "--fix", "NAME", "with --box: quantity that stays constant")
+    output_group(options)
+    options.set_defaults(run=_margins)
 
 
 def _margins(arguments: argparse.Namespace) -> None:
-    from valve_control.control.laws.registry import LAWS
-    from valve_control.control.linear import margins, stability
-    from valve_control.control.parameters import build, files
-    from valve_control.control.plant import registry
-    from valve_control.control.simulation import offline
     from valve_control.design.tuning import box as boxes
 
-    check_outputs(arguments)
-    if arguments.fix and not arguments.box:
-        raise ParameterError("--fix keeps a quantity of the box; give --box too")
+    if not arguments.box:
+        refuse(arguments, ["fix"], "margins without --box")
     settings = settings_of(arguments)
     judged = {node: NODES[node] for node in ("controller", "valve_simulator")}
     files.refuse_others(arguments.set, judged, "margins judges law and valve at rest")
@@ -85,7 +77,7 @@ def _margins(arguments: argparse.Namespace) -> None:
     write_json(arguments, {"controller": law.name, "margins": rows})
 
 
-def _print(law: str, found: "dict[str, Margins]") -> None:
+def _print(law: str, found: dict[str, margins.Margins]) -> None:
     def text(value: float, scale: float, unit: str) -> str:
         return "without end" if math.isinf(value) else f"{scale * value + 0.0:.3g} {unit:4}"
 

@@ -13,23 +13,25 @@ from valve_control import outputs
 from valve_control.cli.common import (
     Parser,
     bag_options,
+    changes_of,
     check_outputs,
     deliver,
+    law_option,
+    load,
     output_group,
     parameter_options,
+    progress,
     repeated,
     say,
-    tell_notes,
+    valve_of,
     write_json,
 )
-from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import files
 from valve_control.control.parameters.table import NODES
-from valve_control.parameter import ParameterError
 from valve_control.recordings.bags.errors import BagError
 
 if TYPE_CHECKING:
     from valve_control.recordings.analysis import ValveAnalysis
-    from valve_control.recordings.recording import Recording
     from valve_control.recordings.report import Report
 
 
@@ -82,7 +84,7 @@ def add_commands(commands: Any) -> None:
     )
     recover.add_argument("bag", metavar="BAG", help="folder of the bag, or one file")
     recover.add_argument("--out", metavar="FOLDER", help="new bag (default: BAG_recovered)")
-    recover.add_argument("--json", metavar="FILE", help="report as JSON; - for standard output alone")
+    output_group(recover)
     recover.set_defaults(run=_recover)
 
 
@@ -103,33 +105,16 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
     )
     replay.add_argument("--of", metavar="VALVE", help="valve to replay, if the bag has several")
     group = replay.add_argument_group("shadow and what-if: instead of the recorded parameters")
-    group.add_argument("--controller", choices=LAWS, help="control law")
+    law_option(group, "control law")
     parameter_options(group, "a parameter")
     replay.set_defaults(run=_replay)
-
-
-# Reading
-
-
-def _load(arguments: argparse.Namespace, path: str, journals: bool = False) -> "Recording":
-    from valve_control.recordings import mapping, recording
-
-    start, end = getattr(arguments, "start", None), getattr(arguments, "end", None)
-    if start is not None and end is not None and end <= start:
-        raise ParameterError(f"--to {end:g} lies not after --from {start:g}")
-    maps = mapping.maps_of(path, arguments.map, getattr(arguments, "bags", [path]))
-    return recording.load(path, maps, start, end, journals, arguments.clock)
-
-
-# Tasks
 
 
 def _analyze(arguments: argparse.Namespace) -> int:
     from valve_control.recordings import analysis_report, axis_analysis, expectations
     from valve_control.recordings.analysis import analyze
 
-    check_outputs(arguments, [arguments.csv, arguments.html])
-    loaded = _load(arguments, arguments.bag)
+    loaded = load(arguments, arguments.bag)
     result = analyze(loaded)
     ends = ((arguments.start, -math.inf), (arguments.end, math.inf))
     part = (open_ if at is None else loaded.bag.begin + round(at * 1e9) for at, open_ in ends)
@@ -137,7 +122,7 @@ def _analyze(arguments: argparse.Namespace) -> int:
     outcomes = [o for text in arguments.expect for o in expectations.check(text, report.about["valves"])]
     report.about["expectations"] = [outcome._asdict() for outcome in outcomes]
     csv_files = _csv_files(arguments.csv, result.valves)
-    check_outputs(arguments, [*csv_files, arguments.html])
+    check_outputs(arguments, *(csv_files.keys() - {arguments.csv}))
     _deliver(arguments, report, csv_files)
     for outcome in outcomes:
         value = "missing" if outcome.value is None else f"{outcome.value:.6g}"
@@ -161,62 +146,35 @@ def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> dict[str
 
 
 def _replay(arguments: argparse.Namespace) -> int:
+    from valve_control.recordings import replay_report, shadow, what_if
     from valve_control.recordings.analysis import analyze
-    from valve_control.recordings.recording import chosen
 
-    check_outputs(arguments, [arguments.csv, arguments.html])
-    loaded = _load(arguments, arguments.bag, journals=arguments.mode == "shadow")
-    valve = chosen(arguments.bag, analyze(loaded).valves, arguments.of)
-    valve = valve._replace(left_out=[*loaded.problems, *valve.left_out])
-    report = (_replay_shadow if arguments.mode == "shadow" else _replay_what_if)(arguments, valve)
+    shadows = arguments.mode == "shadow"
+    loaded = load(arguments, arguments.bag, journals=shadows)
+    found = valve_of(arguments, arguments.bag, analyze(loaded).valves)
+    left_out = [*loaded.problems, *found.left_out]
+    changes = changes_of(arguments, recorded=True)
+    nodes = ("controller",) if shadows else ("controller", "valve_simulator")
+    why = f"replay --mode {arguments.mode} has the recorded command" + " and readings" * shadows
+    files.refuse_others(arguments.set, {node: NODES[node] for node in nodes}, why)
+    result: Any
+    if shadows:
+        readings = found.valve.signals.get("spool_position")
+        with progress(0 if readings is None else len(readings.time), "samples") as bar:
+            result = shadow.replay(found.valve, changes["controller"], bar.update)
+    elif found.signals is None:
+        raise BagError("; ".join(left_out))
+    else:
+        own = changes["controller"], changes["valve_simulator"]
+        result = what_if.replay(found.valve, found.signals, *own)
+        if result.run.warning:
+            print(f"warning: {result.run.warning}", file=sys.stderr)
+    report_of: Any = replay_report.of_shadow if shadows else replay_report.of_what_if
+    result = result._replace(left_out=[*left_out, *result.left_out])
+    report = report_of(result, arguments.bag, found.valve.name)
     csv_files = {} if arguments.csv is None else {arguments.csv: outputs.csv_text(report.columns, "%.17g")}
     _deliver(arguments, report, csv_files)
     return 0
-
-
-def _overrides(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    from valve_control.control.parameters import files
-
-    direct = {"controller": {"controller": arguments.controller}}
-    notes: list[str] = []
-    changes = files.given(arguments.params_file, direct, arguments.set, notes, recorded=True)
-    tell_notes(notes)
-    return changes
-
-
-def _replay_shadow(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> "Report":
-    from tqdm import tqdm
-
-    from valve_control.recordings import replay_report, shadow
-
-    valve = analysis.valve
-    changes = _overrides(arguments)
-    names = [n for node, own in changes.items() for n in own if n not in changes["controller"]]
-    if names:
-        raise ParameterError(f"replay --mode shadow has no {names[0]}, which is not of the controller")
-    count = len(valve.signals["spool_position"].time) if "spool_position" in valve.signals else 0
-    with tqdm(total=count, desc="shadow", unit=" samples", disable=count < 20_000, ascii=True) as progress:
-        result = shadow.replay(valve, changes["controller"], progress.update)
-    result = result._replace(left_out=[*analysis.left_out, *result.left_out])
-    return replay_report.of_shadow(result, arguments.bag, valve.name)
-
-
-def _replay_what_if(arguments: argparse.Namespace, analysis: "ValveAnalysis") -> "Report":
-    from valve_control.control.parameters import files
-    from valve_control.recordings import replay_report, what_if
-
-    if analysis.signals is None:
-        raise BagError("; ".join(analysis.left_out))
-    changes = _overrides(arguments)
-    simulated = {node: NODES[node] for node in ("controller", "valve_simulator")}
-    files.refuse_others(arguments.set, simulated, "replay --mode what-if simulates the recorded command")
-    result = what_if.replay(
-        analysis.valve, analysis.signals, changes["controller"], changes["valve_simulator"]
-    )
-    result = result._replace(left_out=[*analysis.left_out, *result.left_out])
-    if result.run.warning:
-        print(f"warning: {result.run.warning}", file=sys.stderr)
-    return replay_report.of_what_if(result, arguments.bag, analysis.valve.name)
 
 
 def _deliver(arguments: argparse.Namespace, report: "Report", csv_files: Mapping[str, str]) -> None:
@@ -235,17 +193,15 @@ def compare_bags(arguments: argparse.Namespace) -> None:
     from valve_control.recordings import comparison
     from valve_control.recordings.analysis import analyze
 
-    check_outputs(arguments, [arguments.html])
     runs = []
     for path in arguments.bags:
-        runs += comparison.runs(path, analyze(_load(arguments, path)))
+        runs += comparison.runs(path, analyze(load(arguments, path, arguments.bags)))
     _deliver(arguments, comparison.report(runs), {})
 
 
 def _recover(arguments: argparse.Namespace) -> int:
     from valve_control.recordings.bags.recover import recover
 
-    check_outputs(arguments)
     result = recover(Path(arguments.bag), Path(arguments.out) if arguments.out is not None else None)
     out = str(result.out) if result.out is not None else None
     write_json(arguments, {**result._asdict(), "bag": str(result.bag), "out": out})

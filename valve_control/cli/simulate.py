@@ -4,35 +4,44 @@
 
 import argparse
 import io
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from valve_control import outputs
 from valve_control.axis.tables import ROS_NODES
 from valve_control.cli.common import (
+    SEED,
     Parser,
-    check_outputs,
+    changes_of,
     clock_option,
     deliver,
-    option_of,
+    law_option,
+    names_of_files,
+    numbers,
     output_group,
     parameter_options,
+    progress,
+    refuse,
     repeated,
-    tell_notes,
     write_json,
     wrote,
 )
-from valve_control.control.analysis.tables import HEADER, index_row
+from valve_control.cli.recordings import compare_bags
+from valve_control.control import closed_loop
+from valve_control.control.analysis import limit_cycle
+from valve_control.control.analysis.figures import Trace, draw_traces
+from valve_control.control.analysis.indices import HEADER, index_row
+from valve_control.control.analysis.steps import in_words
+from valve_control.control.commands import arrays
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES
+from valve_control.control.simulation import delivery, offline
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
-
-if TYPE_CHECKING:
-    from valve_control.control.simulation.delivery import Delivery
-    from valve_control.control.simulation.offline import Run
 
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
 SIMULATED = (
@@ -40,7 +49,6 @@ SIMULATED = (
     "command_drift", "preview", "set", "params_file", "figure",
 )  # fmt: skip
 FIGURE = "command, position, error and voltage as PNG or SVG"
-LONG = 5_000_000  # samples from which on a run shows its progress
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
 
@@ -66,7 +74,7 @@ def setup_options(several: bool = False) -> Parser:
         + ("; again for more" if several else ""),
     )
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (6.0, or the whole array)")
-    group.add_argument("--seed", type=int, metavar="N", help="seed of the LVDT noise (1)")
+    numbers(group, SEED if several else ("seed", int, None, "N", "seed of the LVDT noise (1)"))
     return options
 
 
@@ -80,15 +88,15 @@ def delivery_options(points: bool = True) -> Parser:
     """Parser with the options that say how the commands come; ``points``: also as a trajectory."""
     options = Parser(add_help=False)
     group = options.add_argument_group("delivery of the commands")
-    for name, unit, text in (
-        ("period", "S", "time from one command to the next (one sample period)"),
-        ("jitter", "S", "a command takes between 0 and twice this time to the controller (0)"),
-        ("drift", "PPM", "difference between the clocks of upper level and samples [ppm] (0)"),
-    ):
-        group.add_argument(f"--command-{name}", type=float, metavar=unit, help=text)
+    numbers(
+        group,
+        ("command-period", float, None, "S", "time from one command to the next (one sample period)"),
+        ("command-jitter", float, None, "S", "a command is late by between 0 and twice this time (0)"),
+        ("command-drift", float, None, "PPM", "drift of the upper level's clock [ppm] (0)"),
+    )
     if points:
         text = "the command is known ahead: points of a trajectory, with rate and acceleration"
-        group.add_argument("--preview", action="store_const", const=True, help=text)
+        group.add_argument("--preview", action="store_true", help=text)
     return options
 
 
@@ -101,15 +109,15 @@ def add_commands(commands: Any) -> None:
         help="run one controller on one valve with one command",
         description="Run one controller on one simulated valve; print the indices I1-I5 of the paper.",
     )
-    simulate.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
+    law_option(simulate)
     output_group(simulate, figure=FIGURE, csv="traces as CSV", npz="traces as NPZ")
     simulate.set_defaults(run=_simulate)
     compare = commands.add_parser(
         "compare",
         parents=[setup, delivery_options()],
-        help="compare several bags, or simulate all controllers beside the paper's Table 1",
+        help="compare several bags, or simulate all controllers",
         description="Compare the runs in several bags. Without a bag: run every controller on one valve and "
-        "one command, beside the paper's Table 1.",
+        "one command.",
     )
     compare.add_argument("bags", nargs="*", metavar="BAG", help="bags to compare")
     output_group(
@@ -128,59 +136,28 @@ def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Value
 
     Raises ParameterError.
     """
-    from valve_control.control.parameters import files
-
-    array = {} if arguments.command is None else {"scenario": "array", "command_file": arguments.command}
-    if array and arguments.scenario is not None:
-        raise ParameterError(
-            f"--command {arguments.command} and --scenario {arguments.scenario} contradict each other; "
-            "give one of them"
-        )
-    if arguments.command == "":
-        raise ParameterError("--command has an empty name; give a CSV or NPY file")
-    direct: dict[str, dict[str, Any]] = {
-        "controller": {"controller": getattr(arguments, "controller", None)},
-        "valve_simulator": {"valve": arguments.valve, "seed": arguments.seed},
-        "command_source": {"scenario": arguments.scenario, "duration": arguments.duration, **array},
-    }
-    if getattr(arguments, "preview", False):
-        direct["command_source"]["message"] = "trajectory"
-    for options in direct.values():
-        options["sample_period"] = arguments.sample_period
-    notes: list[str] = []
-    changes = files.given(arguments.params_file, direct, arguments.set, notes, law=law)
-    tell_notes([] if law else notes)
+    more: dict[str, Any] = {}
+    if arguments.command is not None:
+        refuse(arguments, ["scenario"], "--command")
+        more = {"scenario": "array", "command_file": arguments.command}
+    if getattr(arguments, "preview", None):
+        more["message"] = "trajectory"
+    changes = changes_of(arguments, more=more, law=law)
     return {node: updated(table, defaults(table), changes[node]) for node, table in NODES.items()}
 
 
 def _command(arguments: argparse.Namespace, values: Values) -> Any:
-    from valve_control.control.commands import arrays
-    from valve_control.control.parameters import build
-
     if values["scenario"] == "array" and arguments.duration is None:
         return arrays.read(str(values["command_file"]))
     build.check_memory(number(values, "duration") / number(values, "sample_period"))
     return build.commands(values)
 
 
-def _derivatives(values: Values, command: Any, delivered: "Delivery | None") -> Any:
-    """Rates and accelerations of a ``command`` that is sent as points of a trajectory; None: it is not."""
-    from valve_control.control.parameters import build
-
-    if values["message"] != "trajectory":
-        return None
-    if delivered is not None:
-        raise ParameterError("points of a trajectory have their times; leave --command-period, -jitter out")
-    return build.derivatives(command, number(values, "sample_period"))
-
-
-def delivery_of(arguments: argparse.Namespace, values: Values) -> "Delivery | None":
+def delivery_of(arguments: argparse.Namespace, values: Values) -> delivery.Delivery | None:
     """How the options and the controller's ``values`` let commands come; None: one a sample, in time.
 
     Raises ParameterError.
     """
-    from valve_control.control.simulation import delivery
-
     asked = arguments.command_period, arguments.command_jitter, arguments.command_drift
     if asked == (None, None, None):
         return None
@@ -192,9 +169,7 @@ def delivery_of(arguments: argparse.Namespace, values: Values) -> "Delivery | No
     return result
 
 
-def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:
-    from valve_control.control.analysis import limit_cycle
-
+def _result(run: offline.Run, settings: Mapping[str, Values]) -> dict[str, Any]:
     return {
         "controller": run.controller,
         "valve": settings["valve_simulator"]["valve"],
@@ -204,63 +179,73 @@ def _result(run: "Run", settings: Mapping[str, Values]) -> dict[str, Any]:
         "seed": settings["valve_simulator"]["seed"],
         "indices": run.indices._asdict(),
         "true_error": run.true_error,
-        "steps": None
-        if run.steps is None
-        else {"overshoot": run.steps[0], "settling_s": run.steps[1] if math.isfinite(run.steps[1]) else None},
+        "steps": run.steps and dict(zip(("overshoot", "settling_s"), run.steps, strict=True)),
         "theta": run.theta,
         **limit_cycle.as_dict(run.saturated, run.limit_cycle),
         "warning": run.warning or None,
     }
 
 
-def _figure(arguments: argparse.Namespace, runs: Sequence["Run"], settings: Mapping[str, Values]) -> None:
-    if arguments.figure is None:
-        return
-    from valve_control.control.analysis.figures import Trace, draw_traces
-    from valve_control.control.parameters import build
-
-    traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
-    law = runs[0].controller if len(runs) == 1 else "all laws"
-    files = ", ".join(Path(file).name for file in arguments.params_file) or "default parameters"
+def title_of(arguments: argparse.Namespace, law: str, settings: Mapping[str, Values]) -> str:
+    """Title of a figure: law, files of its gains, valve and motion."""
     source, frequency = settings["command_source"], build.highest_frequency(settings["command_source"])
     motion = f"{source['scenario']} of {source['amplitude']:g} V"
     motion += f", {frequency:g} Hz" if frequency else ""
     if source["scenario"] == "array":
         motion = Path(str(source["command_file"])).name
-    title = f"{law} ({files}) on the valve {settings['valve_simulator']['valve']}: {motion}"
-    draw_traces(Path(arguments.figure), traces, title)
+    valve = settings["valve_simulator"]["valve"]
+    return f"{law} ({names_of_files(arguments)}) on the valve {valve}: {motion}"
+
+
+def _figure(
+    arguments: argparse.Namespace, runs: Sequence[offline.Run], settings: Mapping[str, Values]
+) -> None:
+    if arguments.figure is None:
+        return
+    traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
+    law = runs[0].controller if len(runs) == 1 else "all laws"
+    draw_traces(Path(arguments.figure), traces, title_of(arguments, law, settings))
     wrote(arguments, arguments.figure)
 
 
-def _simulate(arguments: argparse.Namespace) -> None:
-    from valve_control.control.analysis.steps import in_words
-    from valve_control.control.simulation import offline
-
-    check_outputs(arguments, [arguments.csv, arguments.npz], [arguments.figure])
-    settings = settings_of(arguments)
-    command = _command(arguments, settings["command_source"])
+def _run(arguments: argparse.Namespace, settings: Mapping[str, Values], command: Any) -> offline.Run:
+    """Run with these ``settings`` under ``command`` [V]; a warning about it is printed."""
+    source, derivatives = settings["command_source"], None
     delivered = delivery_of(arguments, settings["controller"])
-    moved = _derivatives(settings["command_source"], command, delivered)
-    from tqdm import tqdm
-
-    with tqdm(total=len(command), unit=" samples", disable=len(command) < LONG, ascii=True) as bar:
+    if source["message"] == "trajectory":
+        if delivered is not None:
+            raise ParameterError("points of a trajectory have their times; leave --command-period out")
+        derivatives = build.derivatives(command, number(source, "sample_period"))
+    with progress(len(command), "samples", len(command) > offline.PIECE) as bar:
         run = offline.finite_run(
             settings["controller"],
             settings["valve_simulator"],
             command,
-            told=lambda done: bar.update(done),
+            told=bar.update,
             delivered=delivered,
-            derivatives=moved,
+            derivatives=derivatives,
         )
     if run.warning:
         print(f"warning: {run.warning}", file=sys.stderr)
-    if arguments.json != "-":
-        print(HEADER)
-        print(index_row(run.controller, run.indices))
+    return run
+
+
+def _print(run: offline.Run, alone: bool = False) -> None:
+    print(index_row(run.controller, run.indices))
+    if alone:
         print(f"true position: e_M {run.true_error['e_M']:.4f} V, e_rms {run.true_error['e_rms']:.4f} V")
         if run.steps is not None:
             print(f"steps: {in_words(*run.steps)}")
-        _say_cycle(run)
+    if text := limit_cycle.in_words(run.saturated, run.limit_cycle):
+        print(f"{run.controller}: {text}")
+
+
+def _simulate(arguments: argparse.Namespace) -> None:
+    settings = settings_of(arguments)
+    run = _run(arguments, settings, _command(arguments, settings["command_source"]))
+    if arguments.json != "-":
+        print(HEADER)
+        _print(run, alone=True)
         if run.theta is not None:
             print("estimates at the end: " + ", ".join(f"{v:.4g}" for v in run.theta))
     _traces(arguments, run)
@@ -268,82 +253,36 @@ def _simulate(arguments: argparse.Namespace) -> None:
     write_json(arguments, _result(run, settings))
 
 
-def _say_cycle(run: "Run") -> None:
-    from valve_control.control.analysis.limit_cycle import in_words
-
-    text = in_words(run.saturated, run.limit_cycle)
-    if text:
-        print(f"{run.controller}: {text}")
-
-
-def _traces(arguments: argparse.Namespace, run: "Run") -> None:
-    columns = {
-        "time": run.time,
-        "command": run.command,
-        "position": run.position,
-        "measurement": run.measurement,
-        "voltage": run.voltage,
-    }
-    terms = {f"{run.controller}.{name}" if name in columns else name: row for name, row in run.terms.items()}
-    columns.update(terms)
+def _traces(arguments: argparse.Namespace, run: offline.Run) -> None:
+    columns = {name: getattr(run, name) for name in ("time", "command", *closed_loop.SIGNALS)}
+    columns |= {f"{run.controller}.{n}" if n in columns else n: row for n, row in run.terms.items()}
     if arguments.csv is not None:
         deliver(arguments, arguments.csv, outputs.csv_text(columns, "%.10g"))
     if arguments.npz is not None:
-        import numpy as np
-
         stream = io.BytesIO()
         np.savez_compressed(stream, allow_pickle=False, **columns)
         deliver(arguments, arguments.npz, stream.getvalue())
 
 
 def _compare(arguments: argparse.Namespace) -> None:
-    from valve_control.control.analysis.indices import PAPER_TABLE_1
-    from valve_control.control.simulation import offline
-
     if arguments.bags:
-        from valve_control.cli.recordings import compare_bags
-
-        given = [name for name in SIMULATED if getattr(arguments, name) not in (None, [])]
-        if given:
-            raise ParameterError(f"compare with bags takes no {option_of(given[0])}, which is for simulation")
+        refuse(arguments, SIMULATED, "compare with bags")
         compare_bags(arguments)
         return
-    if arguments.html or arguments.map or arguments.clock:
-        raise ParameterError("compare takes --html, --map and --clock with bags only")
-    check_outputs(arguments, figures=[arguments.figure])
+    refuse(arguments, ["html", "map", "clock"], "compare without bags")
     settings = settings_of(arguments)
     if any(text.partition("=")[0].strip() == "controller" for text in arguments.set):
         raise ParameterError("compare runs every controller, so it takes no --set controller")
-    command = _command(arguments, settings["command_source"])
-    runs = []
-    for controller in LAWS:
-        own = settings_of(arguments, controller)["controller"]
-        values = updated(NODES["controller"], own, {"controller": controller})
-        delivered = delivery_of(arguments, values)
-        moved = _derivatives(settings["command_source"], command, delivered)
-        run = offline.finite_run(
-            values, settings["valve_simulator"], command, delivered=delivered, derivatives=moved
-        )
-        if run.warning:
-            print(f"warning: {run.warning}", file=sys.stderr)
-        runs.append(run)
-    paper = PAPER_TABLE_1 if _of_the_paper(settings) else {}
+    command, runs = _command(arguments, settings["command_source"]), []
+    for law in LAWS:
+        own = {**settings_of(arguments, law)["controller"], "controller": law}
+        runs.append(_run(arguments, {**settings, "controller": own}, command))
     if arguments.json != "-":
         print(HEADER)
         for run in runs:
-            print(index_row(run.controller, run.indices))
-            _say_cycle(run)
-            if run.controller in paper:
-                print(index_row("  paper", paper[run.controller]))
+            _print(run)
     _figure(arguments, runs, settings)
-    printed = {name: values._asdict() for name, values in paper.items()}
-    write_json(arguments, {"runs": [_result(run, settings) for run in runs], "paper": printed})
-
-
-def _of_the_paper(settings: Mapping[str, Values]) -> bool:
-    """Whether valve and motion are of the kind that the paper's Table 1 was measured with."""
-    model, scenario = settings["valve_simulator"]["valve"], settings["command_source"]["scenario"]
-    return model != "custom" and scenario == "point_to_point"
+    write_json(arguments, {"runs": [_result(run, settings) for run in runs]})
 
 
 def _parameters(arguments: argparse.Namespace) -> None:

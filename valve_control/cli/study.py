@@ -3,30 +3,44 @@
 """Defines the sub-command `study`: distributions of the indices over many valves, worst cases again."""
 
 import argparse
-import math
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from valve_control import interrupts
 from valve_control.cli.common import (
-    Progress,
-    check_outputs,
-    check_processes,
+    THREADS,
     deliver,
-    fix_option,
+    law_option,
+    numbers,
+    output_group,
+    progress,
+    refuse,
+    repeated,
     say,
     tell_notes,
+    within,
     write_json,
     wrote,
 )
-from valve_control.cli.simulate import settings_of, setup_options
+from valve_control.cli.simulate import settings_of, setup_options, title_of
+from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_columns
+from valve_control.control.commands import arrays
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import files, ros_file
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, number, updated, word
 
 if TYPE_CHECKING:
     from valve_control.control.simulation.robustness import Quantity, Study, StudyResult
+
+LIMIT = (
+    "a loop with a larger error [V] in the last two seconds counts as unstable (0.15; if the command moves "
+    "then, plus twice the tracking error of the valve without variations)"
+)
+FIX = ("--fix", "NAME", "quantity of the box that stays constant")
 
 
 def add_commands(commands: Any) -> None:
@@ -39,28 +53,21 @@ def add_commands(commands: Any) -> None:
         "forces, drifts, noise, dead times and sample periods. Ctrl-C stops it; the same command resumes "
         "it.",
     )
-    study.add_argument("--controller", choices=LAWS, help="control law (default: arc)")
+    law_option(study)
     group = study.add_argument_group("study")
-    group.add_argument("--valves", type=int, default=100_000, metavar="N", help="number of valves (100000)")
-    fix_option(group)
+    repeated(group, *FIX)
     group.add_argument("--box", action="store_true", help="list the box and exit")
-    group.add_argument("--study-seed", type=int, default=1, metavar="N", help="seed of the draw (1)")
-    group.add_argument(
-        "--limit",
-        type=float,
-        metavar="V",
-        help="a loop with a larger error [V] in the last two seconds counts as unstable (0.15; if the "
-        "command moves then, plus twice the tracking error of the valve without variations)",
-    )
-    group.add_argument("--replay", type=int, metavar="N", help="write only valve number N, to --output")
-    group.add_argument(
-        "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="number of threads (all cores)"
+    numbers(
+        group,
+        ("valves", int, 100_000, "N", "number of valves (%(default)s)"),
+        ("study-seed", int, 1, "N", "seed of the draw (%(default)s)"),
+        ("limit", within(1e-6, 1e6), None, "V", LIMIT),
+        ("replay", int, None, "N", "write only valve number N, to --output"),
+        THREADS,
     )
     group.add_argument("--folder", help="folder of the results (out/study-…, one for each study)")
-    output = study.add_argument_group("output")
-    output.add_argument("--json", metavar="FILE", help="results as JSON; - for standard output alone")
-    output.add_argument("--figure", metavar="FILE", help="distributions as PNG or SVG")
-    output.add_argument("--output", metavar="FILE", help="with --replay: that valve as ROS 2 parameter file")
+    valve = "with --replay: that valve as ROS 2 parameter file"
+    output_group(study, figure="distributions as PNG or SVG", output=valve)
     study.set_defaults(run=_study)
 
 
@@ -80,24 +87,25 @@ def _study(arguments: argparse.Namespace) -> int:
     if arguments.replay is not None:
         _write_valve(arguments, chosen)
         return 0
-    folder = (
-        Path("out", robustness.folder_name(chosen)) if arguments.folder is None else Path(arguments.folder)
-    )
-    progress, done = Progress(chosen.valves, "valves"), list[int]()  # valves
-
-    def count(valves: int) -> None:
-        if not done and valves > 0:
-            print(f"{valves} of {chosen.valves} valves are in {folder} already", file=sys.stderr)
-        done.append(valves)
-        progress(valves)
-
+    folder = Path(arguments.folder or Path("out", robustness.folder_name(chosen)))
     limit = robustness.fitting_limit(chosen) if arguments.limit is None else arguments.limit
-    try:
-        found = robustness.run(chosen, folder, count, arguments.threads)
-    except KeyboardInterrupt:
-        text = f"stopped; {max(done, default=0)} of {chosen.valves} valves are in {folder}"
-        print(f"{text}; the same command goes on", file=sys.stderr)
-        return 130
+    stored: list[int] = []  # valves from before
+    with progress(chosen.valves, "valves") as bar:
+
+        def count(valves: int) -> None:
+            if not stored:
+                bar.initial = bar.n = valves
+                if valves > 0:
+                    bar.write(f"{valves} of {chosen.valves} valves are in {folder} already", sys.stderr)
+            stored.append(valves)
+            bar.update(valves - bar.n)
+
+        try:
+            found = robustness.run(chosen, folder, count, arguments.threads)
+        except KeyboardInterrupt:
+            text = f"stopped; {bar.n} of {chosen.valves} valves are in {folder}; the same command goes on"
+            bar.write(text, sys.stderr)
+            return interrupts.STATUS
     result: dict[str, Any] = {
         "folder": str(folder),
         "controller": chosen.settings["controller"]["controller"],
@@ -108,30 +116,24 @@ def _study(arguments: argparse.Namespace) -> int:
         _print(result)
         print(f"all results are in {folder}")
     if arguments.figure is not None:
-        _draw(Path(arguments.figure), found, result["controller"])
+        title = title_of(arguments, result["controller"], chosen.settings)
+        _draw(Path(arguments.figure), found, f"{title}, {len(found.period)} valves around it")
         wrote(arguments, arguments.figure)
     write_json(arguments, result)
     return 0
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    check_outputs(arguments, [arguments.output], [arguments.figure])
-    check_processes("threads", arguments.threads)
-    if arguments.valves < 1:
-        raise ParameterError(f"--valves is {arguments.valves}; it must be at least 1")
-    if arguments.limit is not None and not 0.0 < arguments.limit < math.inf:
-        raise ParameterError(f"--limit is {arguments.limit:g} V; it must be above 0 V, and finite")
     if (arguments.output is None) != (arguments.replay is None):
         raise ParameterError("--replay and --output write the parameters of one valve; give both")
-    if arguments.replay is not None and arguments.figure is not None:
-        raise ParameterError("--figure is of the whole study; leave it out, or --replay")
+    if arguments.replay is not None:
+        refuse(arguments, ["figure"], "study --replay")
     if arguments.seed is not None:
         raise ParameterError("--seed says nothing here: each valve has a seed of its own; see --study-seed")
 
 
 def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
     """The quantities that vary: those of the study that --fix does not name. Raises ParameterError."""
-    from valve_control.control.parameters import files
     from valve_control.design.tuning import box
 
     task = "the study" if arguments.task == "study" else arguments.task
@@ -147,8 +149,6 @@ def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
 
 def _chosen(arguments: argparse.Namespace) -> "Study":
     """Study that the options ask for. Raises ParameterError."""
-    from valve_control.control.commands import arrays
-    from valve_control.control.parameters import files
     from valve_control.control.simulation import robustness
 
     settings = settings_of(arguments)
@@ -197,30 +197,22 @@ def _print(result: dict[str, Any]) -> None:
         print("\n".join(limits.as_text(result["limits"], "valves")))
 
 
-def _draw(path: Path, found: "StudyResult", controller: str) -> None:
-    import numpy as np
-
-    from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_columns
-
+def _draw(path: Path, found: "StudyResult", title: str) -> None:
     plots = []
     for name in ("e_rms", "e_M", "e_F"):
         lines = []
         for i, period in enumerate(np.unique(found.period)):
             values = np.sort(getattr(found.results, name)[(found.period == period) & found.results.finite])
             share = 100.0 * (np.arange(len(values)) + 1.0) / max(1, len(values))
-            lines.append(Line(f"{1e3 * period:g} ms", values, share, COLOURS[i % len(COLOURS)]))
+            lines.append(Line(f"sampled every {1e3 * period:g} ms", values, share, COLOURS[i % len(COLOURS)]))
         plots.append(Plot(f"{name}: valves [%]", lines))
-    title = f"{controller}: {len(found.period)} valves, by sample period"
     draw_columns([path], {"": plots}, "at most [V]", title, logarithmic_x=True)
 
 
 def _write_valve(arguments: argparse.Namespace, chosen: "Study") -> None:
     """Write valve number --replay, with controller and command, for `simulate` and the nodes."""
-    from valve_control.control.parameters import ros_file
     from valve_control.control.simulation import robustness
 
-    if arguments.replay < 0:
-        raise ParameterError(f"--replay is {arguments.replay}; valves are numbered from 0")
     settings = robustness.settings_of_number(chosen, arguments.replay)
     comment = f"valve {arguments.replay} of a study with seed {chosen.seed}"
     deliver(arguments, arguments.output, ros_file.as_yaml(settings, [comment]))

@@ -4,29 +4,38 @@
 
 import argparse
 import math
-import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control.cli.common import (
-    Progress,
+    BUDGET,
+    THREADS,
+    VALVES,
+    Row,
     bag_options,
     check_outputs,
-    check_processes,
-    check_search,
     deliver,
-    fix_option,
-    option_of,
+    load,
+    numbers,
+    output_group,
+    progress,
+    refuse,
+    repeated,
     say,
     tell_notes,
+    valve_of,
+    within,
     write_json,
 )
 from valve_control.cli.simulate import delivery_of, delivery_options, settings_of, setup_options
-from valve_control.cli.study import box_of
-from valve_control.parameter import ParameterError, Values, defaults, word
+from valve_control.cli.study import FIX, box_of
+from valve_control.control.commands import arrays
+from valve_control.control.parameters import build, files, ros_file
+from valve_control.control.parameters.table import VALVE
+from valve_control.parameter import Values, defaults, word
 
 if TYPE_CHECKING:
     from valve_control.design.commissioning.recorded import RecordedRun
@@ -36,19 +45,26 @@ if TYPE_CHECKING:
 
 DELIVERY = ("command_period", "command_jitter", "command_drift")
 OF_BAG = ("command", "scenario", "valve", "sample_period", "duration", *DELIVERY)  # that a bag has itself
+WITH_BAG = ("start", "end", "of", "clock", "map")
 FAILED = 1  # exit status if gains of a law are not accepted
-# Limits on every valve of the box. Option: field of TuningLimits, default, least, most, metavar, help
-LIMITS = {
-    "gain-margin": ("gain_db", 3.0, 0.0, 60.0, "DB", "least gain margin, up and down"),
-    "phase-margin": ("phase_deg", 20.0, 0.0, 120.0, "DEG", "least phase margin"),
-    "delay-margin": ("delay_s", 0.0005, 0.0, 1.0, "S", "least delay margin"),
-    "pause": ("pause_s", 0.01, 0.0, 0.05, "S", "pause of the command that is borne"),
-    "peak": ("sensitivity_db", 12.0, 0.1, 1e3, "DB", "largest peak of the sensitivity"),
-    "swing": ("swing", 0.04, 0.001, 1e3, "V", "largest swing that friction sustains"),
-    "saturation": ("saturated", 0.02, 0.0, 1.0, "X", "largest share of saturated samples"),
-    "overshoot": ("overshoot", 5.0, 0.0, 1e3, "%", "largest overshoot of steps, a wish"),
+
+
+def _limit(off: float, least: float, most: float, unit: float = 1.0) -> Callable[[str], float]:
+    """Type of a limit in such a ``unit``; ``off``: its value for "none"."""
+    number = within(least, most)
+    return lambda text: off if text == "none" else unit * number(text)
+
+
+LIMITS: dict[str, Row] = {  # on every valve of the box, by fields of TuningLimits
+    "gain_db": ("gain-margin", _limit(0.0, 0.0, 60.0), "3", "DB", "least gain margin, up and down"),
+    "phase_deg": ("phase-margin", _limit(0.0, 0.0, 120.0), "20", "DEG", "least phase margin"),
+    "delay_s": ("delay-margin", _limit(0.0, 0.0, 1.0), "0.0005", "S", "least delay margin"),
+    "pause_s": ("pause", _limit(0.0, 0.0, 0.05), "0.01", "S", "pause of the command that is borne"),
+    "sensitivity_db": ("peak", _limit(math.inf, 0.1, 1e3), "12", "DB", "largest peak of the sensitivity"),
+    "swing": ("swing", _limit(math.inf, 0.001, 1e3), "0.04", "V", "largest swing that friction sustains"),
+    "saturated": ("saturation", _limit(math.inf, 0.0, 1.0), "0.02", "X", "largest share of saturation"),
+    "overshoot": ("overshoot", _limit(math.inf, 0.0, 1e3, 0.01), "5", "%", "largest overshoot of steps"),
 }
-LEAST = ("gain_db", "phase_deg", "delay_s", "pause_s")  # which are 0 where they are off; the others infinite
 
 
 def add_commands(commands: Any) -> None:
@@ -74,62 +90,51 @@ def add_commands(commands: Any) -> None:
     )
     bag_options(group)
     group = tune.add_argument_group("objective")
-    group.add_argument(
-        "--max-chatter",
-        type=float,
-        metavar="C_U",
-        help="limit of the mean chatter; where no gains keep it, the quieter ones are taken",
-    )
+    text = "limit of the mean chatter; where no gains keep it, the quieter ones are taken"
+    numbers(group, ("max-chatter", within(1e-6, 1e3), None, "C_U", text))
     group.add_argument(
         "--preview", action="store_true", help="commands are known ahead (topic spool_trajectory)"
     )
     group = tune.add_argument_group("limits on every valve of the box", "none switches a limit off.")
-    for name, (_, usual, _, _, metavar, text) in LIMITS.items():
-        group.add_argument(
-            f"--{name}", type=_limit, default=usual, metavar=metavar, help=f"{text} (%(default)g)"
-        )
+    numbers(group, *((*row[:4], f"{row[4]} (%(default)s)") for row in LIMITS.values()))
     group = tune.add_argument_group("search")
-    for name, count, text in (
-        ("valves", 8, "number of valves in the search"),
-        ("unseen", 64, "number of valves in the verification"),
-        ("budget", 4000, "number of sets of gains of each law, for the PID of each form"),
-    ):
-        group.add_argument(f"--{name}", type=int, default=count, metavar="N", help=f"{text} ({count})")
-    fix_option(group)
-    group.add_argument(
-        "--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="number of threads (all cores)"
+    text = "number of sets of gains of each law, for the PID of each form (%(default)s)"
+    numbers(
+        group,
+        ("valves", VALVES, 8, "N", "number of valves in the search (%(default)s)"),
+        ("unseen", VALVES, 64, "N", "number of valves in the verification (%(default)s)"),
+        ("budget", BUDGET, 4000, "N", text),
+        THREADS,
     )
-    output = tune.add_argument_group("output")
-    output.add_argument(
-        "--output", metavar="FILE", help="ROS 2 parameter file; with several laws NAME_LAW.yaml for each"
-    )
-    output.add_argument("--json", metavar="FILE", help="all results as JSON; - for standard output alone")
+    repeated(group, *FIX)
+    output_group(tune, output="ROS 2 parameter file; with several laws NAME_LAW.yaml for each")
     tune.set_defaults(run=_tune)
-
-
-def _limit(text: str) -> float | None:
-    """A limit, or None for "none"."""
-    return None if text == "none" else float(text)
 
 
 def _tune(arguments: argparse.Namespace) -> int:
     from valve_control.design.commissioning import recorded
     from valve_control.design.tuning import request, tuner
 
-    _check(arguments)
+    bag = arguments.bag is not None
+    refuse(arguments, OF_BAG if bag else WITH_BAG, "tune --bag" if bag else "tune without --bag")
+    if arguments.preview:
+        refuse(arguments, DELIVERY, "tune --preview")
     task, run = _task(arguments)
     paths = _paths(arguments.output, [law.name for law in task.laws])
-    check_outputs(arguments, list(paths.values()))
+    check_outputs(arguments, *(set(paths.values()) - {arguments.output}))
     tell_notes(task.notes)
-    progress = Progress(sum(request.budgets(task, arguments.budget)), "sets of gains")
-    progress(0)
-    tuned, missing = request.search(
-        task, arguments.max_chatter, arguments.budget, arguments.threads,
-        lambda done, law: progress(done, f" ({law})"),
-    )  # fmt: skip
+    with progress(sum(request.budgets(task, arguments.budget)), "sets of gains") as bar:
+
+        def show(done: int, law: str) -> None:
+            bar.set_postfix_str(law, refresh=False)
+            bar.update(done - bar.n)
+
+        tuned, missing = request.search(
+            task, arguments.max_chatter, arguments.budget, arguments.threads, show
+        )
     holding = {name: one for name, one in tuned.items() if one.chosen.holds}
-    files = {name: paths[name] for name in holding if paths}
-    laws = {name: {**tuner.as_dict(one), "file": files.get(name)} for name, one in tuned.items()}
+    written = {name: paths[name] for name in holding if paths}
+    laws = {name: {**tuner.as_dict(one), "file": written.get(name)} for name, one in tuned.items()}
     result = {"laws": laws, **({"missing": missing} if missing else {})}
     if run is not None:
         result["recording"] = recorded.as_dict(run.fitted)
@@ -143,52 +148,25 @@ def _tune(arguments: argparse.Namespace) -> int:
         _print(tuned)
     for name, one in holding.items():
         text = _yaml(arguments, task.seen.values, one, run.fitted.values if run is not None else {})
-        if name in files:
-            deliver(arguments, files[name], text)
+        if name in written:
+            deliver(arguments, written[name], text)
         elif arguments.json is None:
             print(text, end="")
     write_json(arguments, result)
     return 0 if len(holding) == len(task.laws) else FAILED
 
 
-def _check(arguments: argparse.Namespace) -> None:
-    about_bag = {"from": arguments.start, "to": arguments.end, "of": arguments.of, "clock": arguments.clock}
-    for name, value in {**about_bag, "map": arguments.map or None}.items():
-        if arguments.bag is None and value is not None:
-            raise ParameterError(f"--{name} is for a recording; give --bag too")
-    check_processes("threads", arguments.threads)
-    check_search(_seed(arguments), arguments.valves, arguments.unseen, arguments.budget)
-    if arguments.preview and any(getattr(arguments, name) is not None for name in DELIVERY):
-        raise ParameterError(
-            "with --preview motions are known ahead; leave --command-period, -jitter and -drift out"
-        )
-    if arguments.max_chatter is not None and not 0.0 < arguments.max_chatter < math.inf:
-        raise ParameterError(f"--max-chatter is {arguments.max_chatter:g}; it must be above 0, and finite")
-    for name, (_, _, least, most, *_) in LIMITS.items():
-        value = getattr(arguments, name.replace("-", "_"))
-        if value is not None and not least <= value <= most:
-            raise ParameterError(f"--{name} is {value:g}; it must lie between {least:g} and {most:g}")
-
-
-def _seed(arguments: argparse.Namespace) -> int:
-    return 1 if arguments.seed is None else int(arguments.seed)
-
-
 def limits_of(arguments: argparse.Namespace) -> "TuningLimits":
     """The limits that the options name."""
     from valve_control.design.tuning.trial import TuningLimits
 
-    limits: dict[str, float] = {}
-    for name, (field, *_) in LIMITS.items():
-        value = getattr(arguments, name.replace("-", "_"))
-        off = 0.0 if field in LEAST else math.inf
-        limits[field] = off if value is None else (0.01 if field == "overshoot" else 1.0) * value
-    return TuningLimits(**limits)
+    return TuningLimits(
+        **{field: getattr(arguments, name.replace("-", "_")) for field, (name, *_) in LIMITS.items()}
+    )
 
 
 def _task(arguments: argparse.Namespace) -> "tuple[Task, RecordedRun | None]":
     """What the options ask for, and the recording to tune on. Raises ParameterError and BagError."""
-    from valve_control.control.parameters import files
     from valve_control.design.tuning import request
 
     settings = settings_of(argparse.Namespace(**{**vars(arguments), "controller": None, "command": None}))
@@ -206,7 +184,7 @@ def _task(arguments: argparse.Namespace) -> "tuple[Task, RecordedRun | None]":
         quantities=box_of(arguments) if run is None else run.box,
         valves=arguments.valves,
         unseen=arguments.unseen,
-        seed=_seed(arguments),
+        seed=arguments.seed,
         recorded=run is not None,
         motions=_motions(arguments, settings) if run is None else [run.motion],
         limits=limits_of(arguments),
@@ -217,38 +195,21 @@ def _task(arguments: argparse.Namespace) -> "tuple[Task, RecordedRun | None]":
 
 
 def _motions(arguments: argparse.Namespace, settings: Mapping[str, Values]) -> list["TuningMotion"]:
-    from valve_control.control.commands import arrays
-    from valve_control.control.parameters import build
     from valve_control.design.tuning import request
 
     if not arguments.command:
         source = settings["command_source"]
         return [request.motion_of(word(source, "scenario"), build.commands(source), settings)]
-    if arguments.scenario is not None:
-        raise ParameterError(
-            f"--command {arguments.command[0]} and --scenario {arguments.scenario} contradict each other; "
-            "give one of them"
-        )
+    refuse(arguments, ["scenario"], "tune --command")
     return [request.motion_of(Path(file).name, arrays.read(file), settings) for file in arguments.command]
 
 
 def _recorded(arguments: argparse.Namespace, settings: Mapping[str, Values], chosen: Values) -> "RecordedRun":
     """The recording, and what it says of its valve, printed too. Raises ParameterError and BagError."""
     from valve_control.design.commissioning import recorded
-    from valve_control.recordings import recording
-    from valve_control.recordings.bags.errors import BagError
 
-    for name in OF_BAG:
-        if getattr(arguments, name) not in (None, []):
-            raise ParameterError(f"tune --bag takes no {option_of(name)}; the bag has its own")
-    if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
-        raise ParameterError(f"--to {arguments.end:g} lies not after --from {arguments.start:g}")
-    loaded = recording.load(
-        arguments.bag, arguments.map, arguments.start, arguments.end, clock=arguments.clock
-    )
-    if not loaded.valves:
-        raise BagError(f"{arguments.bag} has no topic of a valve")
-    valve = recording.chosen(arguments.bag, loaded.valves, arguments.of)
+    loaded = load(arguments, arguments.bag)
+    valve = valve_of(arguments, arguments.bag, loaded.valves)
     name = Path(arguments.bag).name
     run = recorded.run(name, loaded, valve, settings, box_of(arguments), arguments.fix, chosen)
     for one in run.fitted.learnt:
@@ -259,19 +220,13 @@ def _recorded(arguments: argparse.Namespace, settings: Mapping[str, Values], cho
 
 def _paths(output: str | None, laws: Sequence[str]) -> dict[str, str]:
     """Parameter file of each of the ``laws``."""
-    if output is None:
-        return {}
-    path = Path(output)
-    return {
-        law: output if len(laws) == 1 else str(path.with_name(f"{path.stem}_{law}{path.suffix}"))
-        for law in laws
-    }
+    path = Path(output or "none")
+    several = {law: str(path.with_name(f"{path.stem}_{law}{path.suffix}")) for law in laws}
+    return {} if output is None else several if len(laws) > 1 else {laws[0]: output}
 
 
 def _yaml(arguments: argparse.Namespace, values: Values, one: "Tuned", valve: Values) -> str:
     """The gains, and what differs from the defaults in the fitted ``valve``; {}: none is fitted."""
-    from valve_control.control.parameters import ros_file
-    from valve_control.control.parameters.table import VALVE
     from valve_control.design.tuning import tuner, verification
 
     reached = verification.as_dict(one.chosen.verified)

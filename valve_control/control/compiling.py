@@ -27,7 +27,6 @@ from valve_control.parameter import ParameterError
 PACKAGE = "valve_control"
 LANES = 8  # valves side by side in a compiled loop: the doubles of one AVX-512 register
 _packages = {PACKAGE: Path(__file__).resolve().parents[1]}
-_beside: set[str] = set()  # packages that add no laws
 
 
 class CompileError(ParameterError):
@@ -38,21 +37,11 @@ class LawError(RuntimeError):
     """Says that a law has raised an error or left the finite numbers in a run, where and when."""
 
 
-def add_sources(package: str, folder: Path, laws: bool = True) -> None:
-    """Let functions of ``package``, in ``folder``, be compiled too; call it before anything is compiled.
-
-    ``laws``: it adds laws to this package, so that its sources decide results of this package's commands.
-    """
-    _packages[package] = folder.resolve()
-    if not laws:
-        _beside.add(package)
-
-
-def add_sources_of(module: types.ModuleType) -> None:
-    """Let functions of the package of ``module``, which adds a law or a plant, be compiled too."""
+def add_sources(module: types.ModuleType) -> None:
+    """Let functions of the package of ``module`` be compiled too; call it before anything is compiled."""
     source = getattr(module, "__file__", None)
     if source is not None:
-        add_sources(module.__name__.split(".")[0], Path(source).parent)
+        _packages[module.__name__.split(".")[0]] = Path(source).resolve().parent
 
 
 def _ours(name: str) -> bool:
@@ -60,14 +49,11 @@ def _ours(name: str) -> bool:
 
 
 @functools.cache
-def sources_digest(everything: bool = False) -> str:
-    """Hash, sixteen hexadecimal digits, of the sources of this package and of packages that add laws.
-
-    ``everything``: of all packages whose functions are compiled.
-    """
+def sources_digest() -> str:
+    """Hash, sixteen hexadecimal digits, of the sources of all packages whose functions are compiled."""
     digest = hashlib.sha256()
-    for package, root in _packages.items():
-        for source in sorted(root.rglob("*.py")) if everything or package not in _beside else ():
+    for root in _packages.values():
+        for source in sorted(root.rglob("*.py")):
             digest.update(str(source.relative_to(root)).encode())
             digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
@@ -83,7 +69,7 @@ def _numba() -> Any:
     import numba
 
     home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    folder = home / PACKAGE / sources_digest(everything=True)
+    folder = home / PACKAGE / sources_digest()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

@@ -54,21 +54,16 @@ class Changes:
             self.done.append(whole or change)
             del self.done[:-MOST]
 
-    def back(self) -> Values:
-        """Values that take back the newest change, {} if there is none."""
-        return dict(self.done[-1].before) if self.done else {}
+    def newest(self, act: str) -> Change | None:
+        """The change that ``act``, undo or redo, is about; None: there is none."""
+        changes = self.done if act == "undo" else self.undone
+        return changes[-1] if changes else None
 
-    def forth(self) -> Values:
-        """Values that make the change again that was taken back last, {} if there is none."""
-        return dict(self.undone[-1].after) if self.undone else {}
-
-    def went_back(self) -> None:
-        """Note that the values of ``back`` are in force."""
-        self.undone.append(self.done.pop())
-
-    def went_forth(self) -> None:
-        """Note that the values of ``forth`` are in force."""
-        self.done.append(self.undone.pop())
+    def acted(self, act: str, change: Change) -> None:
+        """Note that ``change`` was undone or redone; nothing if another one has come since."""
+        source, target = (self.done, self.undone) if act == "undo" else (self.undone, self.done)
+        if self.newest(act) is change:
+            target.append(source.pop())
 
 
 def differing(now: Mapping[str, Value], wanted: Mapping[str, Value]) -> Values:

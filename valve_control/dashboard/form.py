@@ -234,7 +234,7 @@ class Form:
         """Undo or redo."""
         node, valve = self.node, self._valve
         if node is not None and valve is not None and self._allowed():
-            reason = await {"undo": self._machine.undo, "redo": self._machine.redo}[act](valve, node)
+            reason = await self._machine.act(valve, node, act)
             if reason:
                 self._tell(reason)
             self.refresh()

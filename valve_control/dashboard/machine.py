@@ -5,7 +5,6 @@
 import asyncio
 import threading
 import time
-from collections.abc import Callable
 from concurrent.futures import Future
 from typing import NamedTuple, Protocol
 
@@ -91,33 +90,17 @@ class Machine:
             valve.note(node, change, asked)
             return "", change
 
-    async def undo(self, valve: Valve, node: NodeState) -> str:
-        """Take back the newest change; a sentence if that was not done, else ""."""
-        changes = node.changes
-        return await self._step(valve, node, "undo", changes.done, changes.back, changes.went_back)
-
-    async def redo(self, valve: Valve, node: NodeState) -> str:
-        """Make the change again that was taken back last; a sentence if that was not done, else ""."""
-        changes = node.changes
-        return await self._step(valve, node, "redo", changes.undone, changes.forth, changes.went_forth)
-
-    async def _step(
-        self,
-        valve: Valve,
-        node: NodeState,
-        name: str,
-        steps: list[Change],
-        values: Callable[[], Values],
-        went: Callable[[], None],
-    ) -> str:
+    async def act(self, valve: Valve, node: NodeState, act: str) -> str:
+        """Undo the newest change, or redo the one that was undone last; a sentence if it failed, or ""."""
         async with node.turn:
-            wanted, count = values(), len(steps)
-            if not wanted:
-                return f"there is nothing to {name}"
-            reason, _ = await self._set(valve, node, wanted, name)
+            change = node.changes.newest(act)
+            if change is None:
+                return f"there is nothing to {act}"
+            wanted = change.before if act == "undo" else change.after
+            reason, _ = await self._set(valve, node, wanted, act)
             with self.lock:
-                if not reason and len(steps) == count:
-                    went()
+                if not reason:
+                    node.changes.acted(act, change)
                     node.version += 1
             return reason
 

@@ -12,10 +12,10 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import uvicorn
-from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+from fastapi import FastAPI, Request, Response, WebSocket, WebSocketDisconnect
 from nicegui import ui
+from starlette.middleware.base import RequestResponseEndpoint
 from starlette.middleware.trustedhost import TrustedHostMiddleware
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from valve_control.dashboard.frames import ViewError, frame, view
 from valve_control.dashboard.machine import Machine
@@ -29,11 +29,13 @@ END = 3.0  # s
 RECONNECT = 10.0  # s that a window may be without connection and go on afterwards
 # The browser itself refuses every request that would leave this host. NiceGUI builds its page in scripts
 # inside the page, and Vue compiles templates, hence the two unsafe ones.
-POLICY = (
-    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data:; font-src 'self' data:; connect-src 'self'; frame-ancestors 'none'; "
-    "form-action 'self'"
-)
+POLICY = {
+    "content-security-policy": "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data:; font-src 'self' data:; connect-src 'self'; "
+    "frame-ancestors 'none'; form-action 'self'",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+}
 
 
 class PortTaken(RuntimeError):
@@ -75,7 +77,13 @@ class Server:
             binding_refresh_interval=0.5,
             reconnect_timeout=RECONNECT,
         )
-        app.add_middleware(_Policy)
+
+        @app.middleware("http")
+        async def policy(request: Request, answer: RequestResponseEndpoint) -> Response:
+            response = await answer(request)
+            response.headers.update(POLICY)
+            return response
+
         app.add_middleware(TrustedHostMiddleware, allowed_hosts=NAMES)
         config = uvicorn.Config(
             app,
@@ -137,23 +145,3 @@ async def _serve_frames(wire: WebSocket, machine: Machine) -> None:
                 return
     except (WebSocketDisconnect, RuntimeError):  # RuntimeError: it left while a frame was sent
         return
-
-
-class _Policy:
-    """Adds the policy to every answer."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def sending(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                message["headers"] = [
-                    *message.get("headers", []),
-                    (b"content-security-policy", POLICY.encode()),
-                    (b"x-content-type-options", b"nosniff"),
-                    (b"referrer-policy", b"no-referrer"),
-                ]
-            await send(message)
-
-        await self._app(scope, receive, sending if scope["type"] == "http" else send)

@@ -15,6 +15,7 @@ from valve_control.arrays import Floats
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 PIECES = 6  # between two turns or rests of a command, that a detail shows, as three periods of a sine are
 LEAST = 0.1  # s  of a detail, that a step shows how it is answered
+FAR = 6.0  # times the least error of several runs, beyond which an error would hide the others
 ZOOMED = 0.5  # of a run, up to which a detail is worth its place
 
 
@@ -82,16 +83,20 @@ def _trace_plots(traces: Mapping[str, Trace], shown: slice) -> list[Plot]:
     """Command and position, error, and voltage over time, of what is ``shown``; a colour per run."""
     first = next(iter(traces.values()))
     stroke = float(np.ptp(first.command))
+    errors = {label: trace.position - trace.command for label, trace in traces.items()}
+    sizes = {label: float(np.sqrt(np.nanmean(np.square(error)))) for label, error in errors.items()}
     top, middle, bottom = [Line("command", first.time[shown], first.command[shown], "black")], [], []
     for i, (label, trace) in enumerate(traces.items()):
-        colour, time, error = COLOURS[i % len(COLOURS)], trace.time[shown], trace.position - trace.command
-        rms = float(np.sqrt(np.nanmean(np.square(error))))
-        label += f": {1e3 * rms:.3g} mV rms"
+        colour, time = COLOURS[i % len(COLOURS)], trace.time[shown]
+        error, rms = errors[label], sizes[label]
+        label += f": {float(f'{1e3 * rms:.3g}'):g} mV rms"
         label += f", {100.0 * rms / stroke:.2g} % of stroke" if stroke > 0.0 else ""
         top.append(Line(label, time, trace.position[shown], colour))
-        middle.append(Line(label, time, 1e3 * error[shown], colour))
+        if rms <= FAR * np.nanmin([*sizes.values()]):
+            middle.append(Line(label, time, 1e3 * error[shown], colour))
         bottom.append(Line(label, time, trace.voltage[shown], colour))
-    return [Plot("spool position [V]", top), Plot("error [mV]", middle), Plot("voltage [V]", bottom)]
+    title = "error [mV]" if len(middle) == len(traces) else "small errors [mV]"
+    return [Plot("spool position [V]", top), Plot(title, middle), Plot("voltage [V]", bottom)]
 
 
 def draw_traces(path: Path, traces: Mapping[str, Trace], title: str) -> None:

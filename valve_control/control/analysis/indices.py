@@ -1,7 +1,8 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Computes the performance indices I1 to I5 of section 4.1: errors and voltages of a run."""
+"""Computes the performance indices I1 to I5 of section 4.1, errors and voltages of a run, and their table."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy.typing as npt
 
 from valve_control.arrays import Floats
 
+HEADER = f"{'':14}{'e_M [V]':>10}{'e_F [V]':>10}{'e_rms [V]':>11}{'u_rms [V]':>11}{'c_u':>9}"
 PAUSE = 100.0  # periods without a message from which on none was sent, or the clock was set
 
 
@@ -20,14 +22,6 @@ class Indices(NamedTuple):
     e_rms: float  # V  (I1)
     u_rms: float  # V  (I4)
     c_u: float  # -  (I5) normalised control variation
-
-
-# Table 1.
-PAPER_TABLE_1 = {
-    "pid": Indices(0.207, 0.147, 0.038, 2.313, 0.423),
-    "arc": Indices(0.145, 0.112, 0.032, 2.362, 0.416),
-    "oarc": Indices(0.158, 0.120, 0.036, 2.314, 0.341),
-}
 
 
 def rms(values: Floats) -> float:
@@ -83,3 +77,9 @@ def indices(
         u_rms=u_rms,
         c_u=variation / u_rms if u_rms > 0.0 else 0.0,
     )
+
+
+def index_row(label: str, values: Sequence[float]) -> str:
+    """One line of the table of indices below HEADER."""
+    e_m, e_f, e_rms, u_rms, c_u = values
+    return f"{label:14}{e_m:10.4f}{e_f:10.4f}{e_rms:11.4f}{u_rms:11.3f}{c_u:9.4f}"

@@ -56,14 +56,6 @@ def limit_cycle(
     return LimitCycle(*longest) if longest[0] > 0.0 else None
 
 
-def ends_at_rest(voltages: Floats, period: float, amplitude: float) -> Floats:
-    """Times [s] at which the limit cycles in N ``voltages`` [V] (N×n) end, at a command of 0 V; 0.0: none.
-
-    They are those that ``limit_cycle`` finds, of at least ``amplitude`` [V].
-    """
-    return surveyed(voltages, np.zeros(voltages.shape[1]), period, amplitude)[:, 3]
-
-
 def in_words(saturated: float, cycle: LimitCycle | None) -> str:
     """Saturation (share of the samples) and limit cycle of a run in one line, "" if there is neither."""
     parts = []

@@ -22,7 +22,7 @@ def accepted(found: object, taken: dict[str, Law]) -> Law:
     if law.name in taken:
         raise plugins.PluginError(f"the name is taken by a law of {taken[law.name].package}")
     try_out(law, {**defaults(COMMON), **defaults(reshaping.PARAMETERS)})
-    compiling.add_sources_of(law.module)
+    compiling.add_sources(law.module)
     return law
 
 

@@ -224,25 +224,23 @@ def dominant_poles(law: LinearLaw, valves: LinearValves) -> Complexes:
     return found
 
 
+def _states(a: Floats, b: Floats, z: Complexes) -> Complexes:
+    """States of z·x = a·x + b (n) at the points ``z`` (F) of the z-plane, shape (F, n)."""
+    pencil = z[:, None, None] * np.eye(len(b)) - a
+    states = np.linalg.solve(pencil, np.broadcast_to(b[:, None], (len(z), len(b), 1)))
+    return np.asarray(states[..., 0], dtype=complex)
+
+
 def law_response(law: LinearLaw, z: Complexes) -> Complexes:
     """Voltage over reading at the points ``z`` (F) of the z-plane."""
-    if len(law.b) == 0:
-        return np.full(len(z), law.d, dtype=complex)
-    pencil = z[:, None, None] * np.eye(len(law.b)) - law.a
-    return (
-        np.linalg.solve(pencil, np.broadcast_to(law.b[:, None], (len(z), len(law.b), 1)))[..., 0] @ law.c
-        + law.d
-    )
+    return _states(law.a, law.b, z) @ law.c + law.d
 
 
 def valve_responses(valves: LinearValves, z: Complexes) -> tuple[Complexes, Complexes]:
     """Position and reading over voltage of N valves at the points ``z`` (F) of the z-plane, shapes (N, F)."""
     position, reading = np.empty((2, len(valves.b), len(z)), dtype=complex)
     for i, (a, b) in enumerate(zip(valves.a, valves.b, strict=True)):
-        states = np.linalg.solve(
-            z[:, None, None] * np.eye(4) - a, np.broadcast_to(b[:, None], (len(z), 4, 1))
-        )
-        position[i] = states[:, 0, 0]
-        shown = states[..., 0] @ valves.now[i] + states[..., 0] @ valves.before[i] / z
-        reading[i] = shown * z ** -float(valves.late[i])
+        states = _states(a, b, z)
+        position[i] = states[:, 0]
+        reading[i] = (states @ valves.now[i] + states @ valves.before[i] / z) * z ** -float(valves.late[i])
     return position, reading

@@ -32,14 +32,14 @@ FLAT = 1e-9  # -  slope that is rounding
 STABLE = 1.0 + 1e-6  # largest modulus of a pole, with room for rounding
 
 
-def believed(law: Law, params: Any, gain: float) -> LinearValves:
-    """The model that ``law`` believes in, with so many times its gain."""
+def believed(law: Law, params: Any) -> LinearValves:
+    """The model that ``law`` believes in."""
     exact = law.sampled_model(params)
     if exact is not None:
-        return linear_loop.undelayed(exact[0], gain * exact[1])
+        return linear_loop.undelayed(*exact)
     assert law.model is not None
     a1, a0, b0 = law.model(params)
-    model = TransferFunction((gain * b0,), (1.0, a1, a0))
+    model = TransferFunction((b0,), (1.0, a1, a0))
     return linear_loop.linear_valves(
         [valve.design(model, params.period, params.u_max, 1.0, valve.FREE, IDEAL)]
     )
@@ -55,22 +55,27 @@ def dominant_pole(law: Law, params: Any, plant: Any) -> complex:
     return pole_of(law, params, linear_loop.linear_valves([plant]))
 
 
+def _gained(law: Law, params: Any, own: LinearValves, lower: str) -> tuple[str, str]:
+    """Largest pole and remedy of the loop around ``own`` (one), as it is or 2 dB above it; "": it is stable.
+
+    ``lower``: as for ``_advice``.
+    """
+    at_rest, gained = (pole_of(law, params, own._replace(b=gain * own.b)) for gain in (1.0, GAIN_MARGIN))
+    pole = max(at_rest, gained, key=abs)
+    if abs(pole) < 1.0:
+        return "", ""
+    return _largest(pole, params), law.remedy if abs(at_rest) < 1.0 else _advice(law, params, own, lower)
+
+
 def warning(law: Law, params: Any) -> str:
     """One sentence if the sampled loop is unstable with b0 as assumed or 2 dB above it, else ""."""
     if law.model is None:
         return ""
-    own = believed(law, params, 1.0)
-    at_rest = abs(pole_of(law, params, own))
-    radius = max(at_rest, abs(pole_of(law, params, believed(law, params, GAIN_MARGIN))))
-    if radius < 1.0:
-        return ""
-    told = (
+    pole, remedy = _gained(law, params, believed(law, params), law.remedy)
+    return pole and (
         f"{law.name} with these gains is unstable, or within 2 dB of it, at a sample period of "
-        f"{params.period:g} s (largest pole of the sampled loop: {radius:.3f})"
+        f"{params.period:g} s ({pole}); {remedy}"
     )
-    if at_rest < 1.0:
-        return f"{told}; {law.remedy}"
-    return f"{told}; {_advice(law, params, own, law.remedy)}"
 
 
 def coil_warning(law: Law, params: Any, values: Values) -> str:
@@ -85,15 +90,11 @@ def coil_warning(law: Law, params: Any, values: Values) -> str:
         exact = other.known_valve(values)
         if exact is None:
             continue
-        valves, gained = (linear_loop.undelayed(exact[0], gain * exact[1]) for gain in (1.0, GAIN_MARGIN))
-        at_rest = pole_of(law, params, valves)
-        pole = max(at_rest, pole_of(law, params, gained), key=abs)
-        if abs(pole) >= 1.0:
-            remedy = law.remedy if abs(at_rest) < 1.0 else _advice(law, params, valves, "lower the gains")
+        pole, remedy = _gained(law, params, linear_loop.undelayed(*exact), "lower the gains")
+        if pole:
             return (
                 f"{law.name} knows no coil, and on the model of {other.name}, which has one, it is unstable "
-                f"with these gains, or within 2 dB of it ({_largest(pole, params)}); {remedy}, or use "
-                f"{other.name}"
+                f"with these gains, or within 2 dB of it ({pole}); {remedy}, or use {other.name}"
             )
     return ""
 

@@ -34,7 +34,7 @@ def accepted(found: object, taken: dict[str, Plant]) -> Plant:
                 f"its Params are those of the plant '{other.name}'; it must have its own"
             )
     try_out(plant, TRIED)
-    compiling.add_sources_of(plant.module)
+    compiling.add_sources(plant.module)
     return plant
 
 

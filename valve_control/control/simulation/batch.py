@@ -9,11 +9,11 @@ blocks. Every valve has the noise of its own seed, with the bits of numpy's gene
 of another plant than the linear one go through ``closed_loop.run_loop`` one by one.
 """
 
+import functools
 import os
 import types
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
@@ -35,7 +35,6 @@ from valve_control.control.simulation.measures import Results, Tally
 
 Valves = npt.NDArray[np.int64]
 Records = npt.NDArray[np.void]  # one row a valve, fields as in the NamedTuple, all float64
-SPAN = 256  # samples of noise made at a time: they stay in the nearest cache
 
 
 class SpoolState(NamedTuple):
@@ -92,11 +91,6 @@ class Batch(NamedTuple):
     led: Floats | None = None  # V, of the same shape: with the lead of ``command_lead``; None: ``commands``
 
 
-def fill(generators: Any, noise: Floats) -> None:
-    """Placeholder for ``noise.fill``."""
-    raise NotImplementedError
-
-
 def one_sample(p: Any, source: Any, law: Any, plant: Any, measure: Any, given: float, noise: float) -> Any:
     """Placeholder for ``closed_loop.sample``."""
     raise NotImplementedError
@@ -142,7 +136,6 @@ def sample(lane: Lane, first: bool, final: bool) -> Work:
 def run_block(
     like: Lane,
     block: Floats,
-    generators: Any,
     noise: Floats,
     commands: Floats,
     led: Floats,
@@ -154,20 +147,16 @@ def run_block(
 ) -> None:
     """Run the ``valves`` of one block, whose parameters are in ``block``.
 
-    ``generators``: from ``noise.seeded``, which fill ``noise`` (LANES×SPAN) again and again; ``commands`` and
-    ``led`` [V]: those of valve i begin at i·``stride``; ``history`` (LANES×m×2): rings as in ``valve.State``,
-    for delayed LVDTs; ``last_begin``: sample at which the last two seconds begin; ``traces`` (N×n×3, or 0×n×3
-    for none) receives position, measurement and voltage [V], and has as many samples as the run. Arrays that
-    come in records would make a sample 5 to 10 % slower.
+    ``noise`` (LANES×n): standard normal numbers; ``commands`` and ``led`` [V]: those of valve i begin at
+    i·``stride``; ``history`` (LANES×m×2): rings as in ``valve.State``, for delayed LVDTs; ``last_begin``:
+    sample at which the last two seconds begin; ``traces`` (N×n×3, or 0×n×3 for none) receives position,
+    measurement and voltage [V], and has as many samples as the run. Arrays that come in records would make a
+    sample 5 to 10 % slower.
     """
     record = traces.shape[0] > 0
     length = history.shape[1]
+    begin(like, block, noise)
     for k in range(traces.shape[1]):
-        i = k % SPAN
-        if i == 0:
-            fill(generators, noise)
-        if k == 0:
-            begin(like, block, noise)
         for j in range(LANES):
             lane = load(like, block, j)
             position = lane.work.motion.x.x0
@@ -177,7 +166,7 @@ def run_block(
             level = 0.0
             if lane.valve.disturbance.coulomb > 0.0:
                 level = valve.friction_level(lane.valve.disturbance, lane.work.motion.x.x1)
-            block[NOISE + j] = noise[j, i]
+            block[NOISE + j] = noise[j, k]
             block[POSITION + j] = position
             block[COMMAND + j] = commands[valves[j] * stride + k]
             block[LED + j] = led[valves[j] * stride + k]
@@ -193,21 +182,35 @@ def run_block(
                 traces[valves[j], k, 2] = lane.work.voltage
 
 
-@cache
+@functools.cache
 def _compiled(law: types.ModuleType) -> Callable[..., None]:
     from valve_control.control import simd_layout
-    from valve_control.control.simulation import noise
 
     access = {"load": simd_layout.load, "store": simd_layout.store}
     start = compile_function(begin, {**access, "law_initial": compile_function(law.initial)})
     places = (closed_loop.command_given, read_delayed, law.step, counted)
     parts = dict(zip(closed_loop.PLACES, map(compile_function, places), strict=True))
     one = compile_function(sample, {"one_sample": compile_function(closed_loop.sample, parts)})
-    inner = {**access, "begin": start, "fill": compile_function(noise.fill), "sample": one}
-    return compile_function(run_block, inner, nogil=True)
+    return compile_function(run_block, {**access, "begin": start, "sample": one}, nogil=True)
 
 
-@cache
+@functools.lru_cache(maxsize=10_000)  # a search runs the same valves, with the same seeds, again and again
+def _beginning(seed: int) -> Any:
+    """State of numpy's generator ``default_rng(seed)`` before its first number."""
+    return np.random.PCG64(seed).state
+
+
+def _noise(seeds: Valves, samples: int) -> Floats:
+    """Standard normal numbers (seeds×samples), each row with the bits of ``default_rng(seed)``."""
+    noise, bits = np.empty((len(seeds), samples)), np.random.PCG64(0)
+    generator = np.random.Generator(bits)
+    for row, seed in zip(noise, seeds.tolist(), strict=True):
+        bits.state = _beginning(seed)
+        generator.standard_normal(out=row)
+    return noise
+
+
+@functools.cache
 def template(kind: type) -> Any:
     """A NamedTuple of type ``kind`` with 0.0 in every field, nested ones too."""
     if kind is float:
@@ -289,10 +292,7 @@ def _commands(given: Floats, count: int) -> Floats:
 
 def _prepared(batch: Batch) -> Prepared:
     law, like_law = _law(batch)
-    seeds = np.asarray(batch.seeds)
-    if seeds.ndim != 1 or len(seeds) == 0 or seeds.dtype.kind not in "iu" or np.any(seeds < 0):
-        raise ValueError("seeds must be whole numbers, none below 0, one for each of at least one valve")
-    seeds = seeds.astype(np.int64)
+    seeds = np.asarray(batch.seeds, dtype=np.int64)
     count = len(seeds)
     commands = _commands(batch.commands, count)
     led = commands if batch.led is None else _commands(batch.led, count)
@@ -338,13 +338,10 @@ def _run_lanes(ready: Prepared, start: int, traces: Floats) -> Floats:
     rows = np.concatenate([ready.law_rows[valves], ready.valve_rows[valves]], axis=1)
     block = np.zeros((ready.width, LANES))
     block[ready.width - rows.shape[1] :] = rows.T
-    from valve_control.control.simulation import noise
-
     _compiled(ready.law)(
         like=ready.like,
         block=block.ravel(),
-        generators=noise.seeded(ready.seeds[valves]),
-        noise=np.empty((LANES, SPAN)),
+        noise=_noise(ready.seeds[valves], traces.shape[1]),
         commands=ready.commands,
         led=ready.led,
         stride=ready.stride,
@@ -365,7 +362,7 @@ def _run_singly(ready: Prepared, valves: Valves, traces: Floats) -> Floats:
         law = linear_loop.unflatten(ready.like.law, ready.law_rows[i].tolist())
         plant = linear_loop.unflatten(ready.like.valve, ready.valve_rows[i].tolist())
         signals = traces[i] if len(traces) else np.empty((samples, len(closed_loop.SIGNALS)))
-        noise = np.random.default_rng(int(ready.seeds[i])).standard_normal(len(signals))
+        (noise,) = _noise(ready.seeds[i : i + 1], samples)
         closed_loop.run_valve(
             ready.law,
             closed_loop.parts(law, plant),
@@ -385,13 +382,11 @@ def _run_singly(ready: Prepared, valves: Valves, traces: Floats) -> Floats:
 def simulate(batch: Batch, threads: int | None = None, traces: Floats | None = None) -> Results:
     """Simulate every valve of ``batch`` on ``threads`` threads (default: all cores).
 
-    ``traces`` (N×n×3) takes position, measurement and voltage [V] of each valve; without it memory does not
-    grow with the length of a run. Ctrl-C ends it as soon as the blocks that are running are through. Raises
-    ValueError for a batch that does not fit together.
+    ``traces`` (N×n×3) takes position, measurement and voltage [V] of each valve; without it a run keeps no
+    more than the noise of the LANES valves of each thread. Ctrl-C ends it as soon as the blocks that are
+    running are through. Raises ValueError for a batch that does not fit together.
     """
     ready = _prepared(batch)
-    if threads is not None and threads < 1:
-        raise ValueError(f"threads is {threads}; it must be at least 1")
     shape = (len(ready.seeds), ready.samples, 3)
     if traces is None:
         traces = np.empty((0, ready.samples, 3))

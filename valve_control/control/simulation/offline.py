@@ -236,13 +236,11 @@ def _unstable(loop: _Loop, values: Values, alone: bool, least: float, compiled: 
     coil unless the law is ``alone``.
     """
     law, params, _, plant = loop
-    found = [stability.warning(law, params), stability.valve_warning(law, params, plant, values)]
-    on_valve = found[1]
-    if not any(found) and not alone:
-        found.append(stability.coil_warning(law, params, values))
-    if not on_valve:
-        found.append(_probe(loop, least, compiled))
-    return found
+    on_valve = stability.valve_warning(law, params, plant, values)
+    known = stability.warning(law, params)
+    if not known and not on_valve and not alone:
+        known = stability.coil_warning(law, params, values)
+    return [known, on_valve or _probe(loop, least, compiled)]
 
 
 def _probe(loop: _Loop, least: float, compiled: bool) -> str:

@@ -246,10 +246,8 @@ def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> S
     valves = max(LANES, int(STEPS / samples))
     digest, chunk = _digest(study), min(CHUNK, 1 << (valves.bit_length() - 1))  # a power of two, as Sobol's
     paths = {first: folder / f"valves_{first:08d}.npz" for first in range(0, study.valves, chunk)}
-    stored = {first: _read(path, digest) for first, path in paths.items() if path.exists()}
-    parts = {first: part for first, part in stored.items() if part is not None}
-    left = sum(min(chunk, study.valves - first) for first in paths if first not in parts)
-    told(study.valves - left)
+    parts = {first: part for first, path in paths.items() if (part := _read(path, digest)) is not None}
+    told(sum(min(chunk, study.valves - first) for first in parts))
     for first in sorted(paths.keys() - parts.keys()):
         found = run_chunk(study, first, chunk, threads)
         points, period = found.points, found.period
@@ -257,15 +255,14 @@ def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> S
         parts[first], stream = (points, period, rows), io.BytesIO()
         np.savez(stream, points=points, period=period, rows=rows, study=np.array(digest))
         outputs.write(str(paths[first]), stream.getvalue())
-        left -= min(chunk, study.valves - first)
-        told(study.valves - left)
+        told(sum(min(chunk, study.valves - first) for first in parts))
     each = zip(*(parts[first] for first in paths), strict=True)
     points, period, rows = (np.concatenate(part)[: study.valves] for part in each)
     return StudyResult(points, period, _results(rows))
 
 
 def _read(path: Path, digest: str) -> tuple[Floats, ...] | None:
-    """The PARTS of one file of a study with this ``digest``, None if it is damaged. Raises ParameterError."""
+    """PARTS of a file of the study with this ``digest``; None: missing or damaged. Raises ParameterError."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             parts, other = tuple(stored[name] for name in PARTS), str(stored["study"])

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from valve_control.arrays import Floats
 from valve_control.control.analysis import steps as answers_of_steps
-from valve_control.control.analysis.limit_cycle import ends_at_rest
+from valve_control.control.analysis.limit_cycle import surveyed
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.laws.law import Law
@@ -223,7 +223,8 @@ def restless(
     swing = _about_a_line(np.where(finite[:, None], traces[:, -round(RESTING / period) :, 0], 0.0))
     large = np.ptp(swing, axis=1) > 2.0 * REST
     turning = [bool(one) and _turns(row, 0.5 * REST) >= TURNS for one, row in zip(large, swing, strict=True)]
-    reported = np.asarray(ends_at_rest(traces[:, :, 2], period, least) > HELD - RESTING, dtype=bool)
+    cycles = surveyed(traces[:, :, 2], np.zeros(traces.shape[1]), period, least)
+    reported = np.asarray(cycles[:, 3] > HELD - RESTING, dtype=bool)
     return np.asarray(~finite | np.array(turning, dtype=bool) | reported), reported
 
 
