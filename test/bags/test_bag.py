@@ -16,7 +16,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_typestore
 
 from valve_control.recordings.bags.bag import Bag
-from valve_control.recordings.bags.cdr import Decoder
+from valve_control.recordings.bags.cdr import places
 from valve_control.recordings.bags.errors import BagError
 
 REAL = Path(__file__).resolve().parents[1] / "data" / "bags"
@@ -65,11 +65,10 @@ def test_numbers_of_real_messages_are_the_library_s(name):
         first = next(bag.messages(topic.name), None)
         if first is None:
             continue
-        leaves = Decoder(topic, ()).numbers(first)
         fields = [
-            path if leaf.single else f"{path}[{i}]"
-            for path, leaf in leaves.items()
-            for i in range(1 if leaf.single else leaf.entries)
+            path if leaf.entries is None else f"{path}[{i}]"
+            for path, leaf in places(topic, first).leaves.items()
+            for i in range(1 if leaf.entries is None else leaf.entries)
         ]
         series = bag.read({topic.name: fields}, raw=[topic.name])[topic.name]
         assert series.undecodable == 0 and len(series.raw) == len(series.log_time)

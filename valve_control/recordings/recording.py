@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Loads a bag as valves with their signals, cleaned and aligned to the LVDT readings."""
 
-import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -16,7 +15,7 @@ from valve_control.control.supervision.journal import Block, block
 from valve_control.control.supervision.state_snapshot import Account, account
 from valve_control.recordings import modes, parameters
 from valve_control.recordings.bags.bag import Bag, Series
-from valve_control.recordings.bags.cdr import Decoder, deserialized
+from valve_control.recordings.bags.cdr import deserialized, places
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.table import TableFile
 from valve_control.recordings.cleaning import Samples, clean, seconds
@@ -138,7 +137,7 @@ def load(
 
     first = bag.begin + nanoseconds(start or 0.0, "--from")
     last = None if end is None else bag.begin + nanoseconds(end, "--to")
-    read = bag.read(fields, raw, states, None if start is None else first, last)
+    read = bag.read(fields, raw, None if start is None else first, last)
     series = without_strays(read, bag.problems)
     if bag.table is not None and clock is not None:
         raise BagError(f"--clock {clock}: {path} is a table, whose rows have one time ({bag.table.clock})")
@@ -211,8 +210,8 @@ def _accounts(notes: Series | None) -> dict[tuple[int, int], Account]:
 def _labels(bag: Bag, topic: str) -> list[str]:
     message = next(bag.messages(topic), None)
     try:
-        return [] if message is None else Decoder(bag.topic(topic), ()).labels(message)
-    except (BagError, struct.error):
+        return [] if message is None else places(bag.topic(topic), message).labels("data")
+    except BagError:
         return []
 
 

@@ -185,20 +185,18 @@ class Bag:
         self,
         fields: Mapping[str, Sequence[str]],
         raw: Collection[str] = (),
-        sparse: Collection[str] = (),
         start: int | None = None,
         end: int | None = None,
     ) -> dict[str, Series]:
         """Read numeric ``fields`` of topics, and whole messages of the topics in ``raw``.
 
-        ``start``, ``end`` [ns]: log times of what is kept; whole messages count from the bag's beginning. Of
-        topics in ``sparse`` fields that a message does not have are NaN. Raises BagError if there is no such
-        topic, or its type is unknown.
+        ``start``, ``end`` [ns]: log times of what is kept; whole messages count from the bag's beginning.
+        Raises BagError if there is no such topic, or its type is unknown.
         """
         if self.table is not None:
             return {name: self._column(name, names, start, end) for name, names in fields.items()}
         collected = {
-            name: _Collector(self.topic(name), fields.get(name, ()), name in raw, name in sparse)
+            name: _Collector(self.topic(name), fields.get(name, ()), name in raw)
             for name in {*fields, *raw}
         }
         last = np.inf if end is None else end
@@ -381,9 +379,10 @@ def _begin(file: "File") -> int:
 class _Collector:
     """Collects the columns of one topic, block by block."""
 
-    def __init__(self, topic: Topic, fields: Sequence[str], raw: bool, sparse: bool) -> None:
+    def __init__(self, topic: Topic, fields: Sequence[str], raw: bool) -> None:
         # Each field has a decoder: messages of one publisher may have one, those of another the other.
-        self._decoders = {field: Decoder(topic, [field], optional=sparse) for field in fields}
+        self._decoders = [Decoder(topic, field) for field in fields]
+        self._fields = fields
         self._keep_raw = raw
         self._raw: list[bytes] = []
         # Piece by piece: log time, publish time, sequence, place; fields; which messages have these.
@@ -391,32 +390,30 @@ class _Collector:
         self._columns: list[list[npt.NDArray[Any]]] = [[np.empty(0, dtype=kind)] for kind in kinds]
 
     def take(self, block: Block) -> None:
-        decoders = self._decoders.values()
-        found = [one.decode(block.buffer, block.offset, block.length) for one in decoders]
-        values, masks = [numbers[:, 0] for numbers, _ in found], [mask for _, mask in found]
+        found = [one.decode(block.buffer, block.offset, block.length) for one in self._decoders]
         if self._keep_raw:
             self._raw += block.contents()
-        for pieces, column in zip(self._columns, (*block[2:6], *values, *masks), strict=True):
+        columns = (*block[2:6], *(values for values, _ in found), *(mask for _, mask in found))
+        for pieces, column in zip(self._columns, columns, strict=True):
             pieces.append(column.copy())
 
     def series(self) -> Series:
         log, publish, sequence, place, *rest = map(_joined, self._columns)
-        count = len(self._decoders)
-        first = next(iter(self._decoders.values()), None)
+        values, masks = rest[: len(self._fields)], rest[len(self._fields) :]
+        decoded = list(zip(self._fields, self._decoders, masks, strict=True))
         series = Series(
             log_time=log,
             publish_time=publish,
             sequence=sequence,
             place=place,
-            values=dict(zip(self._decoders, rest[:count], strict=True)),
-            present=dict(zip(self._decoders, rest[count:], strict=True)),
+            values=dict(zip(self._fields, values, strict=True)),
+            present={field: mask for field, _, mask in decoded if not mask.all()},
             raw=self._raw,
-            undecodable=int(np.count_nonzero(~rest[count])) - first.absent if first is not None else 0,
-            error=first.error if first is not None else "",
-            absent={field: one.absent for field, one in self._decoders.items() if one.absent},
+            undecodable=sum(np.count_nonzero(~mask) - one.absent for _, one, mask in decoded[:1]),
+            error="".join(one.error for _, one, _ in decoded[:1]),
+            absent={field: one.absent for field, one, _ in decoded if one.absent},
         )
-        series = series.only(np.logical_or.reduce(rest[count:])) if first is not None else series
-        return series._replace(present={f: mask for f, mask in series.present.items() if not mask.all()})
+        return series.only(np.logical_or.reduce(masks)) if masks else series
 
 
 def _joined(pieces: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from valve_control.arrays import Bytes, Floats, Integers
@@ -38,133 +38,114 @@ class AbsentError(BagError):
     """A sound message does not have a number that is asked for; ``labels``: those that it has."""
 
     def __init__(self, text: str, labels: Sequence[str] = ()) -> None:
-        super().__init__(f"{text}; its labels are {', '.join(labels)}" if labels else text)
-        self.text = text
-        self.labels = tuple(labels)
+        super().__init__(text)
+        self.labels = labels
 
 
 class Leaf(NamedTuple):
     """Consecutive numbers of one type in a message."""
 
     offset: int
-    kind: str  # of numpy, without byte order
-    entries: int  # of a sequence or array
-    single: bool
+    kind: str  # of numpy
+    entries: int | None  # of a sequence or array, None: a single number
 
 
 class Layout(NamedTuple):
-    """Places of the fields in messages of one size."""
+    """Place of a field in messages of one size."""
 
     where: list[int]  # bytes that decide about the layout ...
     expected: bytes  # ... and what stands there
-    fields: list[tuple[int, str] | None]  # offset and kind of numpy of each; None: such messages lack it
-    absent: AbsentError | None  # why the fields are not there
+    leaf: Leaf | None  # None: such messages lack it
 
 
-class _Walk:
-    """Walks once through one message and notes where each field lies."""
+class Places:
+    """Where each number and string lies in one message of a topic. Raises BagError if it is damaged."""
 
     def __init__(self, types: Any, name: str, message: bytes) -> None:
         if len(message) < HEADER or message[0] != 0 or message[1] > 1:
             raise BagError(f"a message of type {name} is not plain CDR")
-        self.order = "<" if message[1] == 1 else ">"
         self.message = message
-        self.at = HEADER
         self.leaves: dict[str, Leaf] = {}
-        self.strings: dict[str, tuple[int, int]] = {}
-        self.lengths: list[int] = [0, 1]  # bytes that decide
+        self.decisive: list[int] = [0, 1]  # bytes that decide
+        self._order = "<" if message[1] == 1 else ">"
+        self._at = HEADER
+        self._strings: dict[str, tuple[int, int]] = {}
         self._types = types
-        self._fields(name, "")
+        try:
+            self._walk(name, "")
+        except (struct.error, KeyError, RecursionError) as error:
+            raise BagError(f"a message of type {name} cannot be decoded: {error}") from error
 
     def _align(self, size: int) -> None:
-        self.at = HEADER + -(-(self.at - HEADER) // size) * size
+        self._at = HEADER + -(-(self._at - HEADER) // size) * size
 
     def _length(self) -> int:
         self._align(4)
-        (value,) = struct.unpack_from(self.order + "I", self.message, self.at)
-        self.lengths += range(self.at, self.at + 4)
-        self.at += 4
+        (value,) = struct.unpack_from(self._order + "I", self.message, self._at)
+        self.decisive += range(self._at, self._at + 4)
+        self._at += 4
         return int(value)
 
-    def _fields(self, name: str, path: str) -> None:
-        for field, description in self._types[name][1]:
-            place = f"{path}.{field}" if path else field
-            node, detail = description
-            if node in (Nodetype.BASE, Nodetype.NAME):
-                self._several(description, [place], place)
-                continue
-            inner, count = detail
-            if node == Nodetype.SEQUENCE:
-                count = self._length()
-                if count > len(self.message):
+    def _walk(self, name: str, path: str) -> None:
+        for field, (node, detail) in self._types[name][1]:
+            place, entries = f"{path}.{field}" if path else field, None
+            if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                several = node == Nodetype.SEQUENCE
+                (node, detail), entries = detail
+                entries = self._length() if several else entries
+                if entries > len(self.message):
                     raise BagError(
-                        f"a message says that its {place} has {count} entries, more than it has bytes"
+                        f"a message says that its {place} has {entries} entries, more than it has bytes"
                     )
-            self._several(inner, [f"{place}[{i}]" for i in range(count)], place, single=False)
-
-    def _several(self, description: Any, places: list[str], path: str, single: bool = True) -> None:
-        node, detail = description
-        if node == Nodetype.NAME:
-            for place in places:
-                self._fields(detail, place)
-        elif detail[0] in ("string", "wstring"):
-            for place in places:
-                size = self._length()
-                self.strings[place] = (self.at, size)
-                self.at += size
-        else:
-            kind = KINDS[detail[0]]
-            size = int(kind[1:])
-            if places:
-                self._align(size)
-            if path.rpartition(".")[2] != EMPTY:
-                self.leaves[path] = Leaf(self.at, kind, len(places), single)
-            self.at += size * len(places)
-        if self.at > len(self.message):
-            raise BagError(f"a message ends in the middle of its {path}")
-
-    def text(self, path: str) -> str:
-        """The string at ``path``."""
-        at, size = self.strings[path]
-        return self.message[at : at + size].rstrip(b"\0").decode(errors="replace")
+            count = 1 if entries is None else entries
+            if node == Nodetype.BASE and detail[0] not in ("string", "wstring"):
+                kind = KINDS[detail[0]]
+                size = int(kind[1:])
+                if count:
+                    self._align(size)
+                if field != EMPTY:
+                    self.leaves[place] = Leaf(self._at, self._order + kind, entries)
+                self._at += size * count
+            else:
+                for one in [place] if entries is None else [f"{place}[{i}]" for i in range(count)]:
+                    if node == Nodetype.NAME:
+                        self._walk(detail, one)
+                    else:
+                        size = self._length()
+                        self._strings[one] = self._at, size
+                        self._at += size
+            if self._at > len(self.message):
+                raise BagError(f"a message ends in the middle of its {place}")
 
     def labels(self, path: str) -> list[str]:
-        """Paths of the strings that name the entries of the sequence at ``path``."""
+        """Names of the entries of the sequence at ``path``, [] without; they decide about the layout."""
         parent = re.escape("".join(path.rpartition(".")[:2]))
-        forms = (rf"{parent}layout\.dim\[\d+\]\.label", rf"{parent}names?\[\d+\]")
-        found = ([place for place in self.strings if re.fullmatch(form, place)] for form in forms)
-        return next(filter(None, found), [])
+        for form in (rf"{parent}layout\.dim\[\d+\]\.label", rf"{parent}names?\[\d+\]"):
+            found = [lies for place, lies in self._strings.items() if re.fullmatch(form, place)]
+            if found:
+                self.decisive += (i for at, size in found for i in range(at, at + size))
+                texts = (self.message[at : at + size] for at, size in found)
+                return [text.rstrip(b"\0").decode(errors="replace") for text in texts]
+        return []
 
-    def find(self, field: str) -> Leaf:
-        """The single number that ``field`` names. Raises BagError, and AbsentError if others may have it."""
-        path, index = normal(field)
+    def find(self, path: str, index: str | None) -> Leaf:
+        """The single number at ``path``. Raises BagError, and AbsentError if other messages may have it."""
         leaf = self.leaves.get(path)
         if leaf is None:
-            numbers = [name if entry.single else f"{name}[0]" for name, entry in self.leaves.items()]
-            raise AbsentError(f"there is no number '{field}'; there is {', '.join(numbers[:12]) or 'none'}")
+            numbers = [name if one.entries is None else f"{name}[0]" for name, one in self.leaves.items()]
+            raise AbsentError(f"there is no number '{path}'; there is {', '.join(numbers[:12]) or 'none'}")
         if index is None:
-            if not leaf.single:
-                raise BagError(f"{field} is a list; write {field}[0] for its first entry")
+            if leaf.entries is not None:
+                raise BagError(f"{path} is a list; write {path}[0] for its first entry")
             return leaf
-        number = self._index(path, index)
-        if leaf.single or not 0 <= number < leaf.entries:
-            has = "is a single number" if leaf.single else f"has {leaf.entries} entries"
-            raise AbsentError(f"there is no {field}: {path} {has}")
-        size = int(leaf.kind[1:])
-        return Leaf(leaf.offset + number * size, leaf.kind, 1, True)
-
-    def _index(self, path: str, index: str) -> int:
-        if index.isdigit():
-            return int(index)
-        labels = self.labels(path)
-        for i, place in enumerate(labels):
-            at, size = self.strings[place]
-            self.lengths += range(at, at + size)
-            if self.text(place) == index:
-                return i
-        if not labels:
-            raise AbsentError(f"there is no {path}[{index}]; it has no labels")
-        raise AbsentError(f"there is no {path}[{index}]", [self.text(place) for place in labels])
+        labels = [] if index.isdigit() else self.labels(path)
+        if not index.isdigit() and index not in labels:
+            raise AbsentError(f"there is no {path}[{index}]{'' if labels else '; it has no labels'}", labels)
+        number = labels.index(index) if labels else int(index)
+        if leaf.entries is None or number >= leaf.entries:
+            has = "is a single number" if leaf.entries is None else f"has {leaf.entries} entries"
+            raise AbsentError(f"there is no {path}[{index}]: {path} {has}")
+        return Leaf(leaf.offset + number * np.dtype(leaf.kind).itemsize, leaf.kind, None)
 
 
 def normal(field: str) -> tuple[str, str | None]:
@@ -199,6 +180,11 @@ def deserialized(raw: bytes, kind: str) -> Any:
         return None
 
 
+def places(topic: Topic, message: bytes) -> Places:
+    """Where what lies in a message of ``topic``. Raises BagError."""
+    return Places(types_of(topic), topic.type, message)
+
+
 def types_of(topic: Topic) -> Any:
     """Field definitions for the topic's type: the bag's own, completed by those of ROS 2 Jazzy.
 
@@ -206,15 +192,18 @@ def types_of(topic: Topic) -> Any:
     """
     if topic.unreadable:
         raise BagError(topic.unreadable)
-    known = jazzy().fielddefs
-    own = known | _defined(topic)
-    missing = _missing(own, topic.type)
-    if not missing:
-        return own
-    if topic.type not in known:
-        has = f"a definition that lacks {missing}" if topic.type in own else "no definition"
-        raise BagError(f"{topic.name} has the type {topic.type}, of which the bag has {has}")
-    return known
+    own, known = get_typestore(Stores.EMPTY), jazzy().fielddefs
+    own.fielddefs = known | _defined(topic)
+    try:
+        own.generate_msgdef(topic.type, ros_version=2)  # needs all types in it
+    except TypesysError as error:
+        if topic.type not in known:
+            raise BagError(
+                f"{topic.name} has the type {topic.type}, of which the bag has no definition that is "
+                f"complete: {error}"
+            ) from error
+        return known
+    return own.fielddefs
 
 
 def _defined(topic: Topic) -> dict[str, Any]:
@@ -230,54 +219,32 @@ def _defined(topic: Topic) -> dict[str, Any]:
     return {alias: fields for name, fields in store.fielddefs.items() for alias in (name, full_type(name))}
 
 
-def _missing(types: Any, name: str, above: tuple[str, ...] = ()) -> str:
-    """The first type in ``name`` that ``types`` lacks, or that contains itself; "" if there is none."""
-    if name not in types or name in above:
-        return name
-    for _, description in types[name][1]:
-        node, detail = description
-        if node not in (Nodetype.BASE, Nodetype.NAME):
-            node, detail = detail[0]
-        missing = _missing(types, detail, (*above, name)) if node == Nodetype.NAME else ""
-        if missing:
-            return missing
-        if node == Nodetype.BASE and detail[0] not in (*KINDS, "string", "wstring"):
-            return str(detail[0])
-    return ""
-
-
 class Decoder:
-    """Takes the numbers ``fields`` out of the messages of one topic.
+    """Takes the number ``field`` out of the messages of one topic.
 
-    With ``optional``, a field that a message does not have is NaN; otherwise that message is left out, and
-    counted in ``absent``. Raises BagError if the topic's type is unknown.
+    Raises BagError if that is no field, or the topic's type is unknown.
     """
 
-    def __init__(self, topic: Topic, fields: Sequence[str], optional: bool = False) -> None:
-        self.topic = topic
-        self.fields = tuple(fields)
-        self._optional = optional
+    def __init__(self, topic: Topic, field: str) -> None:
         self.error = ""  # why the first message that could not be decoded could not
-        self.absent = 0  # sound messages that do not have all fields
-        self.absence: AbsentError | None = None  # with the labels that they have
-        self._types = types_of(topic)
+        self.absent = 0  # sound messages that do not have it
+        self._path, self._index = normal(field)
+        self._topic, self._types = topic, types_of(topic)
         self._layouts: dict[int, list[Layout]] = {}
+        self._absence = ""  # why the first of these does not have it
+        self._labels: dict[str, None] = {}  # that they have
 
-    def labels(self, message: bytes, path: str = "data") -> list[str]:
-        """Names of the entries of a labelled sequence, [] if it has none."""
-        walk = _Walk(self._types, self.topic.type, message)
-        return [walk.text(place) for place in walk.labels(path)]
-
-    def numbers(self, message: bytes) -> dict[str, Leaf]:
-        """All numbers of a message by their path."""
-        return _Walk(self._types, self.topic.type, message).leaves
+    @property
+    def reason(self) -> str:
+        """Why some messages have no such number, "" if all have it."""
+        labels = f"; its labels are {', '.join(self._labels)}" if self._labels else ""
+        return f"{self._absence}{labels}" or self.error
 
     def decode(
         self, buffer: Bytes, offset: Integers, length: Integers
     ) -> tuple[Floats, npt.NDArray[np.bool_]]:
-        """Fields (n×m) of the messages, and a mask of those that could be decoded."""
-        result = np.full((len(offset), len(self.fields)), np.nan)
-        done = np.zeros(len(offset), dtype=np.bool_)
+        """The field in each message, NaN where it is not there, and a mask of where it is."""
+        values, done = np.full(len(offset), np.nan), np.zeros(len(offset), dtype=np.bool_)
         for size in np.unique(length).tolist():
             left = np.flatnonzero(length == size)
             known = self._layouts.setdefault(size, [])
@@ -287,7 +254,7 @@ class Decoder:
                     start = int(offset[left[0]])
                     try:
                         known.append(self._layout(buffer[start : start + size].tobytes()))
-                    except (BagError, struct.error, KeyError) as error:
+                    except BagError as error:
                         self.error = self.error or str(error)
                         left = left[1:]
                         failed += 1
@@ -296,43 +263,24 @@ class Decoder:
                 fits = np.ones(len(left), dtype=np.bool_)
                 for where, expected in zip(layout.where, layout.expected, strict=True):
                     fits &= buffer[offset[left] + where] == expected
-                if layout.absent is None:
-                    result[left[fits]] = self._take(layout, buffer, offset[left[fits]])
-                    done[left[fits]] = True
-                else:
-                    self.absent += int(np.count_nonzero(fits))
-                left = left[~fits]
+                found, left = left[fits], left[~fits]
                 tried += 1
-        return result, done
+                if layout.leaf is None:
+                    self.absent += len(found)
+                    continue
+                kind = np.dtype(layout.leaf.kind)
+                begin = offset[found][:, None] + layout.leaf.offset
+                values[found] = buffer[begin + np.arange(kind.itemsize)].view(kind)[:, 0]
+                done[found] = True
+        return values, done
 
     def _layout(self, message: bytes) -> Layout:
-        """Layout of messages like this one, which may not have all fields. Raises BagError."""
-        walk = _Walk(self._types, self.topic.type, message)
-        fields: list[tuple[int, str] | None] = []
-        absent = None
+        """Layout of messages like this one, which may not have the field. Raises BagError."""
+        found, leaf = Places(self._types, self._topic.type, message), None
         try:
-            fields += [self._find(walk, field) for field in self.fields]
+            leaf = found.find(self._path, self._index)
         except AbsentError as error:
-            absent, before = error, self.absence
-            known = (*before.labels, *error.labels) if before is not None else error.labels
-            self.absence = AbsentError((before or error).text, tuple(dict.fromkeys(known)))
-        where = sorted(set(walk.lengths))
-        return Layout(where, bytes(message[at] for at in where), fields, absent)
-
-    def _find(self, walk: _Walk, field: str) -> tuple[int, str] | None:
-        try:
-            leaf = walk.find(field)
-        except BagError:
-            if self._optional:
-                return None
-            raise
-        return leaf.offset, walk.order + leaf.kind
-
-    def _take(self, layout: Layout, buffer: Bytes, offset: Integers) -> Floats:
-        values = np.full((len(offset), len(layout.fields)), np.nan)
-        for k, place in enumerate(layout.fields):
-            if place is not None:
-                kind = np.dtype(place[1])
-                raw = buffer[offset[:, None] + np.arange(place[0], place[0] + kind.itemsize)]
-                values[:, k] = raw.view(kind)[:, 0]
-        return values
+            self._absence = self._absence or str(error)
+            self._labels |= dict.fromkeys(error.labels)
+        where = sorted(set(found.decisive))
+        return Layout(where, bytes(message[at] for at in where), leaf)
