@@ -109,7 +109,7 @@ def _swallowed(unraisable: Any) -> None:
     if not _decided and issubclass(unraisable.exc_type, KeyboardInterrupt):
         # Raised here it would be swallowed once more.
         signal.setitimer(signal.ITIMER_REAL, AGAIN)
-    elif not _come:  # what Ctrl-C left half made complains when it is collected
+    elif not (_come or _decided):  # what Ctrl-C left half made complains when it is collected
         sys.__unraisablehook__(unraisable)
 
 
