@@ -58,14 +58,12 @@ class Series(NamedTuple):
     def pick(self, chosen: npt.NDArray[Any]) -> "Series":
         """The messages chosen by a mask or by indices."""
         where = np.arange(len(self.log_time))[chosen].tolist() if self.raw else []
-        return self._replace(
-            log_time=self.log_time[chosen],
-            publish_time=self.publish_time[chosen],
-            sequence=self.sequence[chosen],
-            place=self.place[chosen],
-            values={name: numbers[chosen] for name, numbers in self.values.items()},
-            present={name: mask[chosen] for name, mask in self.present.items()},
-            raw=[self.raw[i] for i in where],
+        return Series(
+            *(column[chosen] for column in self[:4]),
+            {name: numbers[chosen] for name, numbers in self.values.items()},
+            {name: mask[chosen] for name, mask in self.present.items()},
+            [self.raw[i] for i in where],
+            *self[7:],
         )
 
 
@@ -332,14 +330,10 @@ class Bag:
 
     def _decompressed(self, block: Block) -> Block:
         """``block``, whose messages rosbag2 may have compressed, with the messages as they were sent."""
-        if self.listing.compression != "message" and not block.first.startswith(ZSTD_MAGIC):
+        if not block.first.startswith(ZSTD_MAGIC):
             return block
         import zstandard
 
-        if self.compression != "message":
-            self._complain(
-                f"messages of {self.path} are compressed with zstd, though no metadata.yaml says so"
-            )
         decompress = zstandard.ZstdDecompressor().decompressobj
         parts, good = [], []
         for i, content in enumerate(block.contents()):
