@@ -97,7 +97,7 @@ class Bag:
             ) from error
         for file in self._files:
             self.problems += file.problems
-            for topic in map(self._as_listed, file.topics):
+            for topic in file.topics:
                 known = self.topics.setdefault(topic.name, topic)
                 if not self._is_known(topic):
                     one, other = (f"{t.type} ({t.encoding})" for t in (known, topic))
@@ -169,8 +169,7 @@ class Bag:
         """Yield all messages, and the names of the topics of their file, "" but for ``topics``."""
         before = 0
         for file in self._files:
-            listed = map(self._as_listed, file.topics)
-            names = [t.name if t.name in topics and self._is_known(t) else "" for t in listed]
+            names = [t.name if t.name in topics and self._is_known(t) else "" for t in file.topics]
             for block in file.blocks():
                 if len(block.topic):
                     block = block._replace(place=before + block.place)
@@ -287,10 +286,6 @@ class Bag:
         if not present:
             raise BagError(f"{self.path} has none of the files that its metadata.yaml names")
         return present
-
-    def _as_listed(self, topic: Topic) -> Topic:
-        """``topic`` with the serialization that metadata.yaml names, if that is another than CDR."""
-        return topic._replace(encoding=self.listing.formats.get(topic.name, topic.encoding))
 
     def _is_known(self, topic: Topic) -> bool:
         known = self.topics[topic.name]
