@@ -144,14 +144,13 @@ def load(
     used = decide(series, groups, clock, bag.path) if bag.table is None else Clock(bag.table.clock)
     bag.problems += used.notes
     series = used.read(series)
-    if used.apart:
-        times = (series[name].publish_time for group in groups for name in group)
-        first = min((int(time.min()) for time in times if len(time)), default=first)
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
-    if start is not None:
-        nodes = {name: node.from_time(first) for name, node in nodes.items()}
+    since = 0
+    if start is not None:  # by the clock that counts
+        times = (series[name].publish_time for group in groups for name in group)
+        since = min((int(time.min()) for time in times if len(time)), default=first)
+        nodes = {name: node.from_time(since) for name, node in nodes.items()}
     words = modes.words([series[name] for name in diagnostics], bag.problems)
-    since = 0 if start is None else first
     valves = {
         name: _valve(valve, series, labels.get(valve.state, []), nodes, words, since, used, bag.table)
         for name, valve in topics.items()
