@@ -54,8 +54,7 @@ class Part(NamedTuple):
     change: str | None  # what was changed at its beginning
     indices: Indices
     not_ok_s: dict[str, float]  # by each mode but ok that there was
-    indices_without_safe: Indices  # of what is not safe, inactive or unknown; NONE where nothing is left
-    indices_only_ok: Indices  # likewise, of what is ok
+    indices_only_ok: Indices  # of what is ok; NONE where nothing is left
 
 
 class Spell(NamedTuple):
@@ -258,21 +257,20 @@ def _parts(
     def part(segment: Segment, change: str) -> Part:
         whole = segment_indices(signals, segment, period)
         time_in: dict[str, float] = {}
-        kept = [whole, whole]
+        only_ok = whole
         if modes is not None:
             inside = modes[segment.start : segment.end]
             lasts = np.diff(np.append(signals.time, signals.time[-1] + period))[segment.start : segment.end]
             others = [mode for mode in Mode if mode is not Mode.OK and np.any(inside == mode)]
             time_in = {mode.name.lower(): float(np.sum(lasts[inside == mode])) for mode in others}
             if time_in:
-                least = (Mode.DEGRADED, Mode.OK)
-                kept = [segment_indices(signals, segment, period, inside <= mode) for mode in least]
+                only_ok = segment_indices(signals, segment, period, inside == Mode.OK)
         stamp, start = signals.stamp[segment.start], float(signals.time[segment.start])
         laws = [c.values["controller"] for c in changes if c.time <= stamp and "controller" in c.values]
         law = str(laws[-1]) if laws else name
         return Part(
             segment.kind, segment.name, start, float(signals.time[segment.end - 1]),
-            segment.end - segment.start, law or None, change or None, whole, time_in, *kept,
+            segment.end - segment.start, law or None, change or None, whole, time_in, only_ok,
         )  # fmt: skip
 
     return [part(segment, text) for segment, text in segments]
@@ -390,5 +388,5 @@ def modes_dict(result: ValveAnalysis) -> dict[str, Any] | None:
         dict(zip(Spell._fields[:-1], (spell.mode.name.lower(), *spell[1:-1]), strict=True))
         for spell in spells
     ]
-    about["indices_without_safe"], about["indices_only_ok"] = run.indices_without_safe, run.indices_only_ok
+    about["indices_only_ok"] = run.indices_only_ok
     return about

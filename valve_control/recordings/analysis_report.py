@@ -79,8 +79,6 @@ def _index_rows(part: Part) -> list[tuple[str, str, Indices, str]]:
     law, modes = part.controller or "", part.not_ok_s
     remark = "; ".join(filter(None, [part.change, time_in(modes)]))
     rows = [(f"{part.name}, {part.start_s:.2f} to {part.end_s:.2f} s", law, part.indices, remark)]
-    if part.kind == "run" and set(modes) > {"degraded"}:
-        rows.append(("without safe", law, part.indices_without_safe, ""))
     if part.kind == "run" and modes:
         rows.append(("only ok", law, part.indices_only_ok, ""))
     return rows
