@@ -241,8 +241,7 @@ def test_readings_of_another_rate_are_reported_with_both_numbers(steady, tmp_pat
     spectrum = result.valves["valve"].voltage_spectrum
     assert spectrum.frequency[-1] == pytest.approx(500.0 / factor, rel=1e-3)
     page = analysis_report.of_bag(result, {}).html
-    indices, spectra = page.index("valve: indices<"), page.index("valve: spectra<")
-    assert page.index(told, indices) < page.index("valve: signals<") and told in page[spectra:]
+    assert page.index(told, page.index("valve: indices<")) < page.index("valve: signals<")
 
 
 def test_the_right_rate_is_not_reported_despite_losses_jitter_and_pauses(steady, tmp_path):

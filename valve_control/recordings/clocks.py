@@ -33,11 +33,6 @@ class Clock(NamedTuple):
     name: str  # log_time, publish_time, or that of a table
     notes: tuple[str, ...] = ()
 
-    @property
-    def source(self) -> bool:
-        """Whether times are those at which messages were sent, not recorded."""
-        return self.name == "publish_time"
-
     def read(self, series: Mapping[str, Series]) -> dict[str, Series]:
         """``series`` whose publish_time is of this clock, so that nothing is taken from the other."""
         if self.name != "log_time":
