@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes rosbag2 bags (Jazzy); what was flushed survives a kill of the process."""
 
+import os
 import sqlite3
 from collections import Counter
 from collections.abc import Sequence
@@ -20,7 +21,6 @@ from valve_control.recordings.bags.storage import PENDING, SqliteStorage
 if TYPE_CHECKING:
     from valve_control.recordings.bags.mcap_storage import McapStorage
 
-COMPRESSIONS = ("none", "zstd", "lz4")
 SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}
 
 
@@ -32,14 +32,6 @@ def reason(error: Exception) -> str:
 def usual() -> str:
     """Storage of a new bag: mcap, or sqlite3 where the package mcap is not installed."""
     return "mcap" if find_spec("mcap") else "sqlite3"
-
-
-def _storage(name: str, path: Path, compression: str) -> "SqliteStorage | McapStorage":
-    if name == "sqlite3":
-        return SqliteStorage(path)
-    from valve_control.recordings.bags.mcap_storage import McapStorage
-
-    return McapStorage(path, compression)
 
 
 class BagWriter(AbstractContextManager["BagWriter"]):
@@ -61,11 +53,17 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise BagError(f"{folder} cannot be made: {reason(error)}") from error
         self.path = folder / f"{folder.name}_0{SUFFIXES[storage]}"
         self._closed = False
+        self._storage: SqliteStorage | McapStorage
         try:
-            self._storage = _storage(storage, self.path, compression)
+            if storage == "sqlite3":
+                self._storage = SqliteStorage(self.path)
+            else:
+                from valve_control.recordings.bags.mcap_storage import McapStorage
+
+                self._storage = McapStorage(self.path, compression)
         except (OSError, sqlite3.Error) as error:
             raise BagError(f"{self.path} cannot be begun: {reason(error)}") from error
-        self._place = _identity(self.path)
+        self._file = self.path.stat()
 
     @property
     def message_count(self) -> int:
@@ -116,8 +114,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def check_place(self) -> None:
         """Raise BagError, after which the bag is closed, if the file that is being written is not there."""
         self._check_open()
-        if _identity(self.path) == self._place:
-            return
+        with suppress(OSError):
+            if os.path.samestat(self.path.stat(), self._file):
+                return
         with suppress(OSError, sqlite3.Error):
             self._storage.flush()
             self._flushed = self.counts
@@ -171,22 +170,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         )
 
 
-def _identity(path: Path) -> tuple[int, int] | None:
-    """What distinguishes a file from another one of the same name, None if there is none."""
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_dev, status.st_ino
-
-
 def check(storage: str, compression: str) -> None:
-    """Raise BagError unless there is such a storage with such a compression."""
-    if storage not in SUFFIXES:
-        raise BagError(f"storage is '{storage}'; it must be mcap or sqlite3")
+    """Raise BagError unless the ``storage`` can be written with this ``compression``."""
     if storage == "mcap" and usual() != "mcap":
         raise BagError("storage mcap needs the Python package mcap (pip install mcap); sqlite3 needs none")
-    if compression not in COMPRESSIONS:
-        raise BagError(f"compression is '{compression}'; it must be none, zstd or lz4")
     if storage == "sqlite3" and compression != "none":
         raise BagError(f"compression is '{compression}'; storage sqlite3 has none, storage mcap has")
