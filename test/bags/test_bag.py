@@ -168,12 +168,6 @@ def no_topics(path):
         writer.finish()
 
 
-def unknown_version(path):
-    shutil.copytree(REAL / "jazzy_mcap_drone_yaw", path)
-    file = path / "metadata.yaml"
-    file.write_text(file.read_text().replace("version: 9", "version: 12"))
-
-
 def missing_file(path):
     shutil.copytree(REAL / "jazzy_mcap_drone_yaw", path)
     next(path.glob("*.mcap")).unlink()
@@ -189,7 +183,6 @@ def missing_file(path):
         ("x.db3", lambda path: path.write_text("hello, world, text"), ["x.db3", "not a sqlite3 file"]),
         ("x.db3", other_database, ["x.db3", "no table 'topics'"]),
         ("empty", Path.mkdir, ["empty", "not a bag"]),
-        ("bag", unknown_version, ["12", "9"]),
         ("bag", missing_file, ["none of the files"]),
         ("x.mcap", no_topics, ["x.mcap", "no topics that can be read"]),
     ],

@@ -269,11 +269,6 @@ class Bag:
                 f"{error}; it is not used (valve-control bag recover writes a copy with a new one)"
             )
             return found
-        if (self.listing.version or 0) > bag_metadata.VERSION:
-            raise BagError(
-                f"{self.path} is a bag of version {self.listing.version}; versions up to "
-                f"{bag_metadata.VERSION} are known"
-            )
         paths = [self.path / name for name in self.listing.files]
         for path in sorted({*paths, *found}):
             if not path.exists():
