@@ -150,15 +150,15 @@ def _crossed(readings: Samples, voltages: Samples) -> bool:
 
 def by_row(signals: Mapping[str, Samples], table: TableFile) -> Pairs:
     """Times of the columns of a table: in its row a command is before the reading and a voltage behind it."""
-    times, places, lead = {}, np.empty(0, dtype=np.int64), next(iter(signals.values()))
-    coarse = False
-    for part, one in signals.items():
-        rows, stamps = table.row_times(one.topic)
-        coarse = coarse or shared(stamps)
-        moved = spread(stamps, np.zeros_like(stamps))[np.searchsorted(rows, one.place)]
-        times[part] = moved + PARTS_OF_ROW.index(part) - 1
-        lead = one if part == "spool_position" else lead
-    return Pairs(lead.topic, _resolution(lead.time), times, places, [], not coarse)
+    rows = {part: table.row_times(one.topic) for part, one in signals.items()}
+    times = {
+        part: spread(time, np.zeros_like(time))[np.searchsorted(number, signals[part].place)]
+        + PARTS_OF_ROW.index(part) - 1
+        for part, (number, time) in rows.items()
+    }  # fmt: skip
+    lead = signals.get("spool_position", next(iter(signals.values())))
+    apart = not any(shared(time) for _, time in rows.values())
+    return Pairs(lead.topic, _resolution(lead.time), times, np.empty(0, dtype=np.int64), [], apart)
 
 
 def _resolution(time: Integers) -> float:

@@ -128,11 +128,12 @@ def load(
     for source in (source for valve in topics.values() for source in valve.sources.values()):
         if source.field not in fields.setdefault(source.topic, []):
             fields[source.topic].append(source.field)
-    diagnostics = modes.diagnostic_topics(bag)
+    sound = {name: topic for name, topic in bag.topics.items() if not topic.unreadable}
+    diagnostics = [n for n, t in sound.items() if t.type == modes.TYPE and n.endswith("/diagnostics")]
     raw = {parameters.TOPIC, *diagnostics}
     if journals:
         raw |= {topic for valve in topics.values() for topic in (valve.journal, valve.memory)}
-    raw &= {name for name, topic in bag.topics.items() if not topic.unreadable}
+    raw &= sound.keys()
     labels = {name: _labels(bag, name) for name in states}
 
     first = bag.begin + nanoseconds(start or 0.0, "--from")

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads and writes metadata.yaml of rosbag2 bags: reads versions 1 to 9, writes 9 (ROS 2 Jazzy)."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 import yaml
 from rosbags.interfaces import Qos
-from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
+from rosbags.rosbag2.metadata import parse_qos
 
 from valve_control import inputs, outputs
 from valve_control.recordings.bags.errors import BagError, refuse_pointer
@@ -39,11 +39,6 @@ def as_text(tree: Any) -> str:
         tree, Dumper=DUMPER, sort_keys=False, default_flow_style=False, width=10**6, allow_unicode=True
     )
     return text.strip()
-
-
-def qos_text(profiles: Sequence[Qos]) -> str:
-    """QoS profiles as YAML text, "" for none."""
-    return as_text(dump_qos_v9(list(profiles))) if profiles else ""
 
 
 def write(folder: Path, tree: dict[str, Any]) -> None:

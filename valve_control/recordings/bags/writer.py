@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from rosbags.interfaces import Qos
+from rosbags.rosbag2.metadata import dump_qos_v9
 
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.errors import BagError
@@ -84,7 +85,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if name in self._topics:
             raise BagError(f"{name} is in the bag {self.folder} already; a topic is added once")
         form = definition_format if definition else ""
-        topic = Topic(name, type_name, CDR, form, definition, type_hash, metadata.qos_text(qos))
+        offered = metadata.as_text(dump_qos_v9(list(qos))) if qos else ""
+        topic = Topic(name, type_name, CDR, form, definition, type_hash, offered)
         self._topics[name] = topic
         try:
             self._storage.add_topic(topic)
