@@ -59,8 +59,8 @@ def of_shadow(result: Shadow, bag: str, valve: str) -> Report:
     if differing:
         first = float(times[0])
         outcome = (
-            f"{differing} of {compared} voltages differ, the first at {first:.3f} s; by at most {most:.4g} V, "
-            f"rms {spread:.4g} V"
+            f"{differing} of {compared} voltages differ, the first at {first:.3f} s; by at most "
+            f"{most:.4g} V, rms {spread:.4g} V"
         )
     about = {
         "controller": result.controller,

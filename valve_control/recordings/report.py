@@ -96,7 +96,8 @@ def _html(piece: Piece) -> str:
         case Notes(texts):
             return page.notes(texts)
         case Aside(summary, pieces):
-            return f"<details><summary>{html.escape(summary)}</summary>{''.join(map(_html, pieces))}</details>"
+            inner = "".join(map(_html, pieces))
+            return f"<details><summary>{html.escape(summary)}</summary>{inner}</details>"
     return page.notes([piece], "text")
 
 

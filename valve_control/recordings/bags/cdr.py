@@ -198,7 +198,7 @@ class Decoder:
     def decode(
         self, buffer: Bytes, offset: Integers, length: Integers
     ) -> tuple[Floats, npt.NDArray[np.bool_]]:
-        """Fields (n×m) of the messages, NaN where they have none, and a mask (n×m) of where they have one."""
+        """Fields (n×m) of the messages, NaN where they are not there, and a mask (n×m) of where they are."""
         values = np.full((len(offset), len(self._steps)), np.nan)
         present = np.zeros(values.shape, dtype=np.bool_)
         if self._fixed:
