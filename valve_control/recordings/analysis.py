@@ -147,9 +147,7 @@ def _analyze_valve(valve: ValveRecording) -> ValveAnalysis:
             left_out.append(f"{valve.name}: spectra take the readings as evenly spaced, over gaps too")
         both = (signals.measurement - signals.command, signals.voltage)
         of_error, of_voltage = (spectrum(s, period) if np.isfinite(s).all() else empty for s in both)
-    return ValveAnalysis(
-        valve, signals, times, name, parts, spells, measured, of_error, of_voltage, left_out
-    )
+    return ValveAnalysis(valve, signals, times, name, parts, spells, measured, of_error, of_voltage, left_out)
 
 
 def _period(valve: ValveRecording) -> Period:

@@ -85,8 +85,9 @@ def decide(
             n for n in names if same[n] == 1.0 or (same[n] > MISSING and not coarse[n][0])
         ],
         "source times go backwards on {}": [n for n in names if back[n][1] > back[n][0]],
-        "the clocks run at different speeds (publish_time goes on by {} s in each second of log_time)":
-            [f"{speed:.4g}"] * (abs(speed - 1.0) > SAME_SPEED),
+        "the clocks run at different speeds (publish_time goes on by {} s in each second of log_time)": (
+            [f"{speed:.4g}"] if abs(speed - 1.0) > SAME_SPEED else []
+        ),
         "source times are shared by messages of {}": [n for n in names if coarse[n] == [False, True]],
         "the publishers' clocks differ (time until recorded, over the shortest: {})": [
             text for group in groups for text in _differing(series, group)

@@ -35,6 +35,14 @@ def usual() -> str:
     return "mcap" if find_spec("mcap") else "sqlite3"
 
 
+def _storage(name: str, path: Path, compression: str) -> "SqliteStorage | McapStorage":
+    if name == "sqlite3":
+        return SqliteStorage(path)
+    from valve_control.recordings.bags.mcap_storage import McapStorage
+
+    return McapStorage(path, compression)
+
+
 class BagWriter(AbstractContextManager["BagWriter"]):
     """Writes a new bag into ``folder``. Each method raises BagError, after which the bag is closed."""
 
@@ -54,14 +62,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise BagError(f"{folder} cannot be made: {reason(error)}") from error
         self.path = folder / f"{folder.name}_0{SUFFIXES[storage]}"
         self._closed = False
-        self._storage: SqliteStorage | McapStorage
         try:
-            if storage == "sqlite3":
-                self._storage = SqliteStorage(self.path)
-            else:
-                from valve_control.recordings.bags.mcap_storage import McapStorage
-
-                self._storage = McapStorage(self.path, compression)
+            self._storage = _storage(storage, self.path, compression)
         except (OSError, sqlite3.Error) as error:
             raise BagError(f"{self.path} cannot be begun: {reason(error)}") from error
         self._file = self.path.stat()
