@@ -80,7 +80,7 @@ def paired(signals: Mapping[str, Samples], received: bool = False) -> Pairs | No
     if readings is None or len(readings.time) < 2:
         return None
     several, answered = shared(readings.time), readings.time[:0] if voltages is None else voltages.time
-    together = np.count_nonzero(np.isin(answered, readings.time))
+    together = int(np.count_nonzero(np.isin(answered, readings.time)))
     crossed = not several and together <= BOTH * min(len(readings.time), len(answered))
     if crossed and not (received and voltages is not None and _crossed(readings, voltages)):
         return None

@@ -82,7 +82,7 @@ def of_shadow(result: Shadow, bag: str, valve: str) -> Report:
     parameters = ", recorded parameters" if result.faithful else ""
     head = f"shadow of {result.controller}, {len(result.time)} samples{parameters}"
     rows = [(name, *(f"{value:.4f}" for value in effort.values())) for name, effort in efforts.items()]
-    pieces = [head, Table(["", "u_rms [V]", "c_u", "max [V]"], rows), outcome]
+    pieces: list[Piece] = [head, Table(["", "u_rms [V]", "c_u", "max [V]"], rows), outcome]
     plots = {
         "spool position [V]": [("command", result.command, BLACK), ("measurement", result.measurement, BLUE)],
         "voltage [V]": [("recorded", result.recorded, BLUE), ("shadow", result.voltage, RED)],
@@ -97,7 +97,7 @@ def of_what_if(result: WhatIf, bag: str, valve: str) -> Report:
     recorded = segment_indices(result.original, Segment("run", "", 0, len(result.original.time)))
     cycle = limit_cycle.in_words(run.saturated, run.limit_cycle)
     table = report.index_table([("recorded", "", recorded, ""), ("what-if", run.controller, run.indices, "")])
-    pieces = [table, f"simulated minus recorded measurement: {result.distance:.4g} V rms"]
+    pieces: list[Piece] = [table, f"simulated minus recorded measurement: {result.distance:.4g} V rms"]
     pieces += [f"simulated: {cycle}"] if cycle else []
     about = {
         "controller": run.controller,

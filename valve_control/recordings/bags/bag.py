@@ -58,12 +58,14 @@ class Series(NamedTuple):
     def pick(self, chosen: npt.NDArray[Any]) -> "Series":
         """The messages chosen by a mask or by indices."""
         where = np.arange(len(self.log_time))[chosen].tolist() if self.raw else []
-        return Series(
-            *(column[chosen] for column in self[:4]),
-            {name: numbers[chosen] for name, numbers in self.values.items()},
-            {name: mask[chosen] for name, mask in self.present.items()},
-            [self.raw[i] for i in where],
-            *self[7:],
+        return self._replace(
+            log_time=self.log_time[chosen],
+            publish_time=self.publish_time[chosen],
+            sequence=self.sequence[chosen],
+            place=self.place[chosen],
+            values={name: numbers[chosen] for name, numbers in self.values.items()},
+            present={name: mask[chosen] for name, mask in self.present.items()},
+            raw=[self.raw[i] for i in where],
         )
 
 

@@ -184,8 +184,8 @@ class Decoder:
         self._absences: dict[str, None] = {}  # why
         self._fixed: list[tuple[int, str]] = []  # places of the fields, [] if they depend on the message
         try:
-            places = {path: place for path, *place in _places(self._store.fielddefs, topic.type)}
-            self._fixed = [(at, kind) for at, kind in (places[field.lstrip(".")] for field in fields)]
+            places = {path: (at, kind) for path, at, kind in _places(self._store.fielddefs, topic.type)}
+            self._fixed = [places[field.lstrip(".")] for field in fields]
             self._size = max(at + int(kind[1:]) for at, kind in places.values())
         except (KeyError, ValueError):
             self._fixed = []
