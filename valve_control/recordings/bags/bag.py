@@ -195,7 +195,8 @@ class Bag:
         if self.table is not None:
             return {name: self._column(name, names, start, end) for name, names in fields.items()}
         collected = {
-            name: _Collector(self.topic(name), fields.get(name, ()), name in raw) for name in {*fields, *raw}
+            name: _Collector(self.topic(name), fields.get(name, ()), name in raw)
+            for name in dict.fromkeys([*fields, *sorted(raw)])
         }
         last = np.inf if end is None else end
         for name, block in self.blocks(collected):
