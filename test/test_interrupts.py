@@ -80,7 +80,6 @@ def work(n):
 if __name__ == "__main__":
     compiled = compile_function(work, nogil=True)
     compiled(10)
-    interrupts.GRACE = 0.0  # past: it is raised in libraries too
     interrupts.watch()
     threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
     try:

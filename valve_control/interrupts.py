@@ -4,46 +4,38 @@
 
 import signal
 import sys
-import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 STATUS = 130
-OURS = ("valve_control.", "research.")
-# Libraries are left time to come back to this package before KeyboardInterrupt is raised in their code, s.
-GRACE = 0.5
-# Time from one look at where the command is to the next, s.
-LOOK = 0.002
+AGAIN = 0.002  # s until an exception that was swallowed is raised again
 # Modules whose Python code numba runs while it makes the record that a compiled function returns.
 MAKING_RECORDS = ("namedtuple_", "numba.core.serialize")
-_since: float | None = None
-_decided = False
+_come = _decided = False
 _watched: set[int] = set()
+_held = 0  # blocks that hold signals back
+_pending = 0  # signal that came meanwhile, 0 for none
 
 
 def come() -> bool:
     """Whether Ctrl-C has been pressed since ``watch``."""
-    return _since is not None
+    return _come
 
 
 def watch(*numbers: int) -> None:
     """Let the first of the signals ``numbers`` (SIGINT) raise KeyboardInterrupt; further ones do nothing.
 
-    It is raised in code of this package; in a library only if that does not come back within ``GRACE`` (a
-    compilation, a figure), and never while numba makes the record that a compiled function returns: the
-    process would end with a segmentation fault, and a signal of the time in that function is delivered
-    exactly then. Where the exception is swallowed (a callback of the garbage collector, an import), it is
-    raised again. A signal that is ignored, as in a command that a script put into the background, stays so.
+    It is never raised while numba makes the record that a compiled function returns: the process would end
+    with a segmentation fault, and a signal of the time in that function is delivered exactly then. Where the
+    exception is swallowed (a callback of the garbage collector, an import), it is raised again. A signal that
+    is ignored, as in a command that a script put into the background, stays so.
     """
     _watched.update(n for n in numbers or (signal.SIGINT,) if signal.getsignal(n) is not signal.SIG_IGN)
-    if not _watched:
-        return
-    for number in (signal.SIGALRM, *_watched):
-        signal.signal(number, _raise)
-    sys.unraisablehook = _swallowed
-    sys.excepthook = _printed
+    if _watched:
+        for number in (signal.SIGALRM, *_watched):
+            signal.signal(number, _raise)
+        sys.unraisablehook, sys.excepthook = _swallowed, _printed
 
 
 def ignore() -> None:
@@ -60,53 +52,38 @@ def ignore() -> None:
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Let the signals come when the block has ended, in the main thread: within it a child is started.
+    """Let the signals come when the block has ended: within it a child is started, or a machine set back.
 
     They are not blocked, for the child would be born so.
     """
-    if not _watched or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    arrived: list[int] = []
-    numbers = (signal.SIGALRM, *_watched)
-    for number in numbers:
-        signal.signal(number, lambda number, frame: arrived.append(number))
+    global _held, _pending
+    _held += 1
     try:
         yield
     finally:
-        for number in numbers:
-            signal.signal(number, _raise)
-    for number in arrived:
-        signal.raise_signal(number)
+        _held -= 1
+        if _pending and not _held:
+            number, _pending = _pending, 0
+            signal.raise_signal(number)
 
 
 def _raise(number: int, frame: Any) -> None:
-    global _since
-    now = time.monotonic()
-    if _decided or (number != signal.SIGALRM and _since is not None):
-        return
-    if _since is None:
-        _since = now
-    module = _module(frame)
-    ours = module.startswith(OURS) and module != __name__
-    caller = None if ours else _gets_a_record(frame)
-    if caller is not None:
+    global _come, _pending
+    if _held:
+        _pending = number
+    elif not _decided and (number == signal.SIGALRM or not _come):
+        _come = True
+        caller = _gets_a_record(frame)
+        if caller is None:
+            raise KeyboardInterrupt
         _raise_in(caller)
-    elif not ours and (module == __name__ or now - _since < GRACE):
-        signal.setitimer(signal.ITIMER_REAL, LOOK)
-    else:
-        raise KeyboardInterrupt
-
-
-def _module(frame: Any) -> str:
-    return str(frame.f_globals.get("__name__")) if frame else ""
 
 
 def _gets_a_record(frame: Any) -> Any:
     """The frame for which a compiled function makes a record at present, None if none does."""
     making = False
     while frame:
-        here = _module(frame).startswith(MAKING_RECORDS)
+        here = str(frame.f_globals.get("__name__")).startswith(MAKING_RECORDS)
         if making and not here:
             return frame
         making, frame = here, frame.f_back
@@ -129,12 +106,10 @@ def _raise_in(frame: Any) -> None:
 
 
 def _swallowed(unraisable: Any) -> None:
-    if _decided:
-        return
-    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+    if not _decided and issubclass(unraisable.exc_type, KeyboardInterrupt):
         # Raised here it would be swallowed once more.
-        signal.setitimer(signal.ITIMER_REAL, LOOK)
-    elif not come():  # what Ctrl-C left half made complains when it is collected
+        signal.setitimer(signal.ITIMER_REAL, AGAIN)
+    elif not (_come or _decided):  # what Ctrl-C left half made complains when it is collected
         sys.__unraisablehook__(unraisable)
 
 

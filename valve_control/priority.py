@@ -58,19 +58,18 @@ class Stopped(Exception):
 def in_background(work: Callable[[Callable[..., None]], T], told: Callable[..., None]) -> T:
     """Return what ``work`` returns, computed in a thread that yields the cores.
 
-    ``work`` gets a function that reports progress. It waits while ``told`` is called with this report in the
-    thread of the caller. An exception of ``told``, or a signal, is raised here at once. ``work`` ends at its
-    next report. Raises what ``work`` raises.
+    ``work`` gets a function that reports progress; ``told`` is called with each report in the thread of the
+    caller. An exception of ``told``, or a signal, is raised here at once. ``work`` ends at its next report.
+    Raises what ``work`` raises.
     """
     reports: queue.SimpleQueue[tuple[object, ...] | None] = queue.SimpleQueue()
-    answers: queue.SimpleQueue[bool] = queue.SimpleQueue()
+    ended = threading.Event()
     future: Future[T] = Future()
 
     def report(*progress: object) -> None:
-        reports.put(progress)
-        if not answers.get():
-            answers.put(False)
+        if ended.is_set():
             raise Stopped
+        reports.put(progress)
 
     def run() -> None:
         _yield_thread()
@@ -84,8 +83,6 @@ def in_background(work: Callable[[Callable[..., None]], T], told: Callable[..., 
     try:
         while (progress := reports.get()) is not None:
             told(*progress)
-            answers.put(True)
-    except BaseException:
-        answers.put(False)
-        raise
+    finally:
+        ended.set()
     return future.result()

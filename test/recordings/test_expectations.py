@@ -9,7 +9,6 @@ VALVES = {
         "indices": {"e_M": 0.1, "e_F": 0.0, "e_rms": e_rms, "u_rms": 1.0, "c_u": None},
         "timing": {"spool_position": {"lost": 0, "gaps": 3, "jitter_s": {"p99": 1e-4}}},
         "latency_s": {"p50": 2e-4, "p99": 5e-4, "max": 1e-3},
-        "recorded_after_s": {},
         "unanswered": 0,
         "lyapunov_over_bound": None,
         "sample_period_s": 0.001,

@@ -87,17 +87,16 @@ def test_indices_with_and_without_what_was_not_ok(run, tmp_path):
     told = np.array(run.modes)
     command = 2.0 * np.sin(2.0 * np.pi * (np.arange(len(told))) * 1e-3)
     error = np.array(run.readings) - command
-    for key, kept in (("indices_only_ok", told == 0), ("indices_without_safe", told < 2)):
-        assert about[key]["e_M"] == pytest.approx(np.max(np.abs(error[kept])))
-        assert about[key]["e_rms"] == pytest.approx(np.sqrt(np.mean(error[kept] ** 2)))
-        assert about[key]["e_F"] == pytest.approx(np.max(np.abs(error[kept][-2001:])))
+    kept, only_ok = told == 0, about["indices_only_ok"]
+    assert only_ok["e_M"] == pytest.approx(np.max(np.abs(error[kept])))
+    assert only_ok["e_rms"] == pytest.approx(np.sqrt(np.mean(error[kept] ** 2)))
+    assert only_ok["e_F"] == pytest.approx(np.max(np.abs(error[kept][-2001:])))
 
 
 def test_the_text_and_the_page_show_the_modes(run, tmp_path):
     result, _ = modes_of(write(tmp_path / "bag", run.messages))
     lines = analysis_report.of_bag(result, {}).text.splitlines()
     assert any(line.startswith("only ok") for line in lines)
-    assert any(line.startswith("without safe") for line in lines)
     assert any(line.startswith("safe ") and "60 LVDT readings lost in a row" in line for line in lines)
     assert any(line.startswith("modes: ok ") and "safe 1 time" in line for line in lines)
     page = analysis_report.of_bag(result, {}).html
@@ -242,8 +241,7 @@ def test_readings_of_another_rate_are_reported_with_both_numbers(steady, tmp_pat
     spectrum = result.valves["valve"].voltage_spectrum
     assert spectrum.frequency[-1] == pytest.approx(500.0 / factor, rel=1e-3)
     page = analysis_report.of_bag(result, {}).html
-    indices, spectra = page.index("valve: indices<"), page.index("valve: spectra<")
-    assert page.index(told, indices) < page.index("valve: signals<") and told in page[spectra:]
+    assert page.index(told, page.index("valve: indices<")) < page.index("valve: signals<")
 
 
 def test_the_right_rate_is_not_reported_despite_losses_jitter_and_pauses(steady, tmp_path):

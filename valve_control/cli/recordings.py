@@ -3,7 +3,6 @@
 """Defines the sub-commands for bags: analyze, replay, compare of bags, and bag recover."""
 
 import argparse
-import math
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -116,8 +115,8 @@ def _analyze(arguments: argparse.Namespace) -> int:
 
     loaded = load(arguments, arguments.bag)
     result = analyze(loaded)
-    ends = ((arguments.start, -math.inf), (arguments.end, math.inf))
-    part = (open_ if at is None else loaded.bag.begin + round(at * 1e9) for at, open_ in ends)
+    ends = (arguments.start, arguments.end)
+    part = (None if at is None else loaded.bag.begin + round(at * 1e9) for at in ends)
     report = analysis_report.of_bag(result, axis_analysis.axes(loaded.bag, *part))
     outcomes = [o for text in arguments.expect for o in expectations.check(text, report.about["valves"])]
     report.about["expectations"] = [outcome._asdict() for outcome in outcomes]

@@ -23,8 +23,6 @@ from valve_control.control.analysis.timing import (
 )
 from valve_control.control.laws.registry import LAWS
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.cleaning import seconds
-from valve_control.recordings.clocks import shared
 from valve_control.recordings.modes import Interval, Mode, of_samples
 from valve_control.recordings.parameters import Change, Node
 from valve_control.recordings.recording import (
@@ -54,8 +52,7 @@ class Part(NamedTuple):
     change: str | None  # what was changed at its beginning
     indices: Indices
     not_ok_s: dict[str, float]  # by each mode but ok that there was
-    indices_without_safe: Indices  # of what is not safe, inactive or unknown; NONE where nothing is left
-    indices_only_ok: Indices  # likewise, of what is ok
+    indices_only_ok: Indices  # of what is ok; NONE where nothing is left
 
 
 class Spell(NamedTuple):
@@ -85,14 +82,12 @@ class ValveAnalysis(NamedTuple):
     valve: ValveRecording
     signals: Aligned | None  # None without readings
     timing: dict[str, Timing]  # by part
-    recorded_after: dict[str, Any]  # spread of the time [s] from publication to recording, by part
     controller: str  # "" if unknown
     parts: list[Part]  # the first is the whole run
     spells: list[Spell]  # of all modes; [] if they are not known
     period: Period
     error_spectrum: Spectrum
     voltage_spectrum: Spectrum
-    spectra_notes: list[str]  # those of the notes that are about the spectra
     left_out: list[str]
 
     @property
@@ -128,22 +123,16 @@ def _analyze_valve(valve: ValveRecording) -> ValveAnalysis:
     times = {part: timing(s.time, s.sequence) for part, s in valve.recorded.items()}
     if valve.coarse:
         times = {part: without_intervals(entry) for part, entry in times.items()}
-    recorded_after = {
-        part: spread(seconds(s.log_time, s.time))._asdict()
-        for part, s in valve.signals.items()
-        if valve.clock.source and not valve.coarse and not shared(s.log_time) and len(s.time)
-    }
     name = controller_name(valve)
     parts: list[Part] = []
     spells: list[Spell] = []
-    spectra_notes: list[str] = []
     measured = _period(valve)
     empty = Spectrum(np.empty(0), np.empty(0))
     of_error = of_voltage = empty
     if signals is not None and len(signals.time) > 1:
         period = measured.measured_s if measured.differs else signals.period
         if measured.differs and measured.sample_period_s:
-            spectra_notes.append(
+            left_out.append(
                 f"{valve.name}: LVDT readings come every {1e3 * period:.4g} ms, sample_period is "
                 f"{1e3 * measured.sample_period_s:.4g} ms; motions, e_F and spectra reckon with "
                 f"{1e3 * period:.4g} ms"
@@ -155,15 +144,10 @@ def _analyze_valve(valve: ValveRecording) -> ValveAnalysis:
             modes = np.array([part.mode for part in valve.modes])[interval]
         parts = _parts(valve, signals, name, period, modes)
         if times["spool_position"].gaps and not valve.lockstep:
-            spectra_notes.append(f"{valve.name}: spectra take the readings as evenly spaced, over gaps too")
-        left_out += spectra_notes
+            left_out.append(f"{valve.name}: spectra take the readings as evenly spaced, over gaps too")
         both = (signals.measurement - signals.command, signals.voltage)
         of_error, of_voltage = (spectrum(s, period) if np.isfinite(s).all() else empty for s in both)
-    return ValveAnalysis(
-        valve, signals, times, recorded_after, name, parts, spells, measured, of_error, of_voltage,
-        spectra_notes,
-        left_out,
-    )  # fmt: skip
+    return ValveAnalysis(valve, signals, times, name, parts, spells, measured, of_error, of_voltage, left_out)
 
 
 def _period(valve: ValveRecording) -> Period:
@@ -258,21 +242,20 @@ def _parts(
     def part(segment: Segment, change: str) -> Part:
         whole = segment_indices(signals, segment, period)
         time_in: dict[str, float] = {}
-        kept = [whole, whole]
+        only_ok = whole
         if modes is not None:
             inside = modes[segment.start : segment.end]
             lasts = np.diff(np.append(signals.time, signals.time[-1] + period))[segment.start : segment.end]
             others = [mode for mode in Mode if mode is not Mode.OK and np.any(inside == mode)]
             time_in = {mode.name.lower(): float(np.sum(lasts[inside == mode])) for mode in others}
             if time_in:
-                least = (Mode.DEGRADED, Mode.OK)
-                kept = [segment_indices(signals, segment, period, inside <= mode) for mode in least]
+                only_ok = segment_indices(signals, segment, period, inside == Mode.OK)
         stamp, start = signals.stamp[segment.start], float(signals.time[segment.start])
         laws = [c.values["controller"] for c in changes if c.time <= stamp and "controller" in c.values]
         law = str(laws[-1]) if laws else name
         return Part(
             segment.kind, segment.name, start, float(signals.time[segment.end - 1]),
-            segment.end - segment.start, law or None, change or None, whole, time_in, *kept,
+            segment.end - segment.start, law or None, change or None, whole, time_in, only_ok,
         )  # fmt: skip
 
     return [part(segment, text) for segment, text in segments]
@@ -348,7 +331,6 @@ def _valve_dict(result: ValveAnalysis) -> dict[str, Any]:
             "timing": result.timing,
             "latency_s": spread(signals.latency) if signals is not None else None,
             "unanswered": signals.unanswered if signals is not None else None,
-            "recorded_after_s": result.recorded_after,
             "theta": [float(values[np.isfinite(values)][-1]) for values in theta.values()] if theta else None,
             "lyapunov_over_bound": guarantee_use(valve.state),
             "parameters": {node.name: {"kind": node.kind, "initial": node.initial} for node in result.nodes},
@@ -390,5 +372,5 @@ def modes_dict(result: ValveAnalysis) -> dict[str, Any] | None:
         dict(zip(Spell._fields[:-1], (spell.mode.name.lower(), *spell[1:-1]), strict=True))
         for spell in spells
     ]
-    about["indices_without_safe"], about["indices_only_ok"] = run.indices_without_safe, run.indices_only_ok
+    about["indices_only_ok"] = run.indices_only_ok
     return about

@@ -79,8 +79,6 @@ def _index_rows(part: Part) -> list[tuple[str, str, Indices, str]]:
     law, modes = part.controller or "", part.not_ok_s
     remark = "; ".join(filter(None, [part.change, time_in(modes)]))
     rows = [(f"{part.name}, {part.start_s:.2f} to {part.end_s:.2f} s", law, part.indices, remark)]
-    if part.kind == "run" and set(modes) > {"degraded"}:
-        rows.append(("without safe", law, part.indices_without_safe, ""))
     if part.kind == "run" and modes:
         rows.append(("only ok", law, part.indices_only_ok, ""))
     return rows
@@ -169,8 +167,7 @@ def _valve_sections(name: str, valve: ValveAnalysis) -> dict[str, list[Piece]]:
             if len(s.frequency)
         ]  # fmt: skip
         figure = Figure(spectra, "frequency [Hz]", logarithmic_x=True)
-        notes = Aside("how they were computed", [Notes(valve.spectra_notes)])
-        sections[f"{name}: spectra"] = [*([notes] if valve.spectra_notes else []), figure] if spectra else []
+        sections[f"{name}: spectra"] = [figure] if spectra else []
     rate: list[Piece] = [Table(TIMING, [_timing_row(*entry) for entry in valve.timing.items()])]
     if signals is not None and len(signals.latency):
         p50, p99, longest = 1e3 * np.percentile(signals.latency, [50, 99, 100])

@@ -79,31 +79,26 @@ def paired(signals: Mapping[str, Samples], received: bool = False) -> Pairs | No
     readings, voltages = signals.get("spool_position"), signals.get("valve_voltage")
     if readings is None or len(readings.time) < 2:
         return None
-    crossed = not _coarse(readings.time, None if voltages is None else voltages.time)
+    several, answered = shared(readings.time), readings.time[:0] if voltages is None else voltages.time
+    together = int(np.count_nonzero(np.isin(answered, readings.time)))
+    crossed = not several and together <= BOTH * min(len(readings.time), len(answered))
     if crossed and not (received and voltages is not None and _crossed(readings, voltages)):
         return None
     answers = signals.get("valve_voltage", signals.get("spool_command"))
-    several = shared(readings.time)
     ordered = several and answers is not None and _interleaved(readings.place, answers.place)
     times = {part: spread(one.time, one.sequence) for part, one in signals.items()}
     places = np.maximum.accumulate(readings.place) if ordered else readings.place[:0]
     pairs = Pairs(readings.topic, _resolution(readings.time), times, places, [], crossed)
-    counted, lead = _numbers(readings.sequence), times["spool_position"]
-    period = round(float(np.median(np.diff(lead))))
-    numbers = np.concatenate([[counted[0] - 1], counted, [counted[-1] + 1]])
-    known = np.concatenate([[lead[0] - period], lead, [lead[-1] + period]])
+    numbers, lead = _padded(_numbers(readings.sequence), 1), times["spool_position"]
+    known = _padded(lead, round(float(np.median(np.diff(lead)))))
     for part, one in signals.items():
         if part == "spool_position" or len(one.time) < MANY:
             continue
         keys = (places, one.place) if ordered else (lead, times[part])
         answer = part == "valve_voltage"
-        # The reading after which a message comes; a command with the key of a reading is there before it.
-        reading = numbers[np.searchsorted(*keys, side="right" if answer else "left")]
-        number = _numbers(one.sequence)
-        among = (reading >= counted[0]) & (reading < counted[-1])
-        ahead, ahead_of_it = (np.ptp(some[among]) if among.any() else 0 for some in (number, reading))
-        if ahead_of_it > 0 and abs(ahead / ahead_of_it - 1.0) < SAME_RATE:
-            reading = number + median_filter(reading - number, WINDOW, mode="mirror")
+        number, ahead = _numbers(one.sequence), _ahead(numbers, one, keys, answer)
+        if ahead is not None:
+            reading = number + median_filter(ahead, WINDOW, mode="mirror")
             share = np.interp(reading + (0.0 if answer else LATER), numbers, known - known[0])
             moved = known[0] + np.round(share).astype(np.int64) + answer
             near = np.abs(moved - times[part]) <= 2e9 * pairs.resolution
@@ -115,11 +110,24 @@ def paired(signals: Mapping[str, Samples], received: bool = False) -> Pairs | No
     return pairs
 
 
-def _coarse(time: Integers, answers: Integers | None) -> bool:
-    """Whether readings at ``time`` [ns] share their stamps, or the ``answers`` have those of readings."""
-    if shared(time) or answers is None or not len(answers):
-        return shared(time)
-    return int(np.count_nonzero(np.isin(answers, time))) > BOTH * min(len(time), len(answers))
+def _padded(column: Integers, step: int) -> Integers:
+    """``column`` with one entry more, a ``step`` away, at each end."""
+    return np.concatenate([[column[0] - step], column, [column[-1] + step]])
+
+
+def _ahead(numbers: Integers, one: Samples, keys: tuple[Integers, Integers], answer: bool) -> Integers | None:
+    """By how much the number of the reading beside each message is larger than its own number.
+
+    ``numbers``: of the readings, padded; ``keys``: of readings and messages, which tell what is beside each
+    other. None where messages and readings do not come at one rate.
+    """
+    # The reading after which a message comes; a command with the key of a reading is there before it.
+    reading = numbers[np.searchsorted(*keys, side="right" if answer else "left")]
+    number = _numbers(one.sequence)
+    among = (reading >= numbers[1]) & (reading < numbers[-2])
+    own, of_readings = (np.ptp(some[among]) if among.any() else 0 for some in (number, reading))
+    same_rate = of_readings > 0 and abs(own / of_readings - 1.0) < SAME_RATE
+    return np.asarray(reading - number) if same_rate else None
 
 
 def _interleaved(place: Integers, other: Integers) -> bool:
@@ -132,29 +140,25 @@ def _interleaved(place: Integers, other: Integers) -> bool:
 
 def _crossed(readings: Samples, voltages: Samples) -> bool:
     """Whether many voltages come beside another reading than their number says, by a steady difference."""
-    if min(len(readings.time), len(voltages.time)) < WINDOW:
+    numbers, keys = _padded(_numbers(readings.sequence), 1), (readings.time, voltages.time)
+    beside = _ahead(numbers, voltages, keys, True)
+    if beside is None or min(len(readings.time), len(beside)) < WINDOW:
         return False
-    counted, number = _numbers(readings.sequence), _numbers(voltages.sequence)
-    at = np.searchsorted(readings.time, voltages.time, side="right")
-    reading = np.concatenate([[counted[0] - 1], counted])[at]
-    if np.ptp(reading) == 0 or abs(np.ptp(number) / np.ptp(reading) - 1.0) >= SAME_RATE:
-        return False
-    beside = reading - number
     usual = median_filter(beside, WINDOW, mode="mirror")
     return float(np.mean(beside != usual)) > CROSSED and float(np.mean(np.diff(usual) != 0)) < CROSSED
 
 
 def by_row(signals: Mapping[str, Samples], table: TableFile) -> Pairs:
     """Times of the columns of a table: in its row a command is before the reading and a voltage behind it."""
-    times, places, lead = {}, np.empty(0, dtype=np.int64), next(iter(signals.values()))
-    coarse = False
-    for part, one in signals.items():
-        rows, stamps = table.row_times(one.topic)
-        coarse = coarse or shared(stamps)
-        moved = spread(stamps, np.zeros_like(stamps))[np.searchsorted(rows, one.place)]
-        times[part] = moved + PARTS_OF_ROW.index(part) - 1
-        lead = one if part == "spool_position" else lead
-    return Pairs(lead.topic, _resolution(lead.time), times, places, [], not coarse)
+    rows = {part: table.row_times(one.topic) for part, one in signals.items()}
+    times = {
+        part: spread(time, np.zeros_like(time))[np.searchsorted(number, signals[part].place)]
+        + PARTS_OF_ROW.index(part) - 1
+        for part, (number, time) in rows.items()
+    }  # fmt: skip
+    lead = signals.get("spool_position", next(iter(signals.values())))
+    apart = not any(shared(time) for _, time in rows.values())
+    return Pairs(lead.topic, _resolution(lead.time), times, np.empty(0, dtype=np.int64), [], apart)
 
 
 def _resolution(time: Integers) -> float:

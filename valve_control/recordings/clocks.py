@@ -32,12 +32,6 @@ class Clock(NamedTuple):
 
     name: str  # log_time, publish_time, or that of a table
     notes: tuple[str, ...] = ()
-    apart: bool = False  # whether it differs from log_time in speed, or by more than disorder
-
-    @property
-    def source(self) -> bool:
-        """Whether times are those at which messages were sent, not recorded."""
-        return self.name == "publish_time"
 
     def read(self, series: Mapping[str, Series]) -> dict[str, Series]:
         """``series`` whose publish_time is of this clock, so that nothing is taken from the other."""
@@ -83,40 +77,38 @@ def decide(
         return Clock("log_time")
     longest = max((series[n] for n in names if n not in without), key=lambda one: len(one.log_time))
     speed = _speed(longest)
-    offset = float(np.median(longest.publish_time - longest.log_time)) * 1e-9
-    apart = abs(speed - 1.0) > SAME_SPEED or abs(offset) > SMALL_DISORDER
-    fine = {name: not shared(series[name].log_time) for name in names}
-    lacking = [n for n in names if same[n] == 1.0 or (same[n] > MISSING and fine[n])]
+    # Both of the times of recording and of those of sending.
+    coarse = {n: [shared(time) for time in series[n][:2]] for n in names}
     back = {n: [len(leaps(time, series[n].sequence)) for time in series[n][:2]] for n in names}
-    backwards = [n for n in names if back[n][1] > back[n][0]]
-    coarse = [n for n in names if shared(series[n].publish_time) and fine[n]]
-    faults = (
-        f"messages of {', '.join(lacking)} have no source times" if lacking else "",
-        f"source times go backwards on {', '.join(backwards)}" if backwards else "",
-        "the clocks run at different speeds (publish_time goes on by "
-        f"{speed:.4g} s in each second of log_time)"
-        if abs(speed - 1.0) > SAME_SPEED
-        else "",
-        f"source times are shared by messages of {', '.join(coarse)}" if coarse else "",
-        *(_differing(series, group) for group in groups),
-    )
-    reason = next(filter(None, faults), "")
+    faults = {
+        "messages of {} have no source times": [
+            n for n in names if same[n] == 1.0 or (same[n] > MISSING and not coarse[n][0])
+        ],
+        "source times go backwards on {}": [n for n in names if back[n][1] > back[n][0]],
+        "the clocks run at different speeds (publish_time goes on by {} s in each second of log_time)": (
+            [f"{speed:.4g}"] if abs(speed - 1.0) > SAME_SPEED else []
+        ),
+        "source times are shared by messages of {}": [n for n in names if coarse[n] == [False, True]],
+        "the publishers' clocks differ (time until recorded, over the shortest: {})": [
+            text for group in groups for text in _differing(series, group)
+        ],
+    }
+    reason = next((text.format(", ".join(which)) for text, which in faults.items() if which), "")
     if wanted == "log" or (reason and wanted != "publish"):
         note = f"{reason}; times of recording are used (log_time; --clock publish takes the others)"
         return Clock("log_time", (note,) if reason else ())
-    return Clock("publish_time", (f"{reason}; publish_time is used",) if reason else (), apart)
+    return Clock("publish_time", (f"{reason}; publish_time is used",) if reason else ())
 
 
-def _differing(series: Mapping[str, Series], group: Sequence[str]) -> str:
-    """How the clocks of the publishers of one valve differ, "" if they do not."""
+def _differing(series: Mapping[str, Series], group: Sequence[str]) -> list[str]:
+    """How the clocks of the publishers of one valve differ, [] if they do not."""
     delays = {name: _delay(series[name]) for name in group}
     times = [series[name].publish_time for name in group]
     intervals = [float(np.median(np.diff(time))) * 1e-9 for time in times if len(time) > 1]
     least = min(delays.values(), default=0.0)
     if max(delays.values(), default=0.0) - least <= max(SAME_CLOCK, 0.5 * max(intervals, default=0.0)):
-        return ""
-    listed = ", ".join(f"{name} {1e3 * (delay - least):+.3f} ms" for name, delay in delays.items())
-    return f"the publishers' clocks differ (time until recorded, over the shortest: {listed})"
+        return []
+    return [f"{name} {1e3 * (delay - least):+.3f} ms" for name, delay in delays.items()]
 
 
 def _delay(series: Series) -> float:

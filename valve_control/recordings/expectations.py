@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 from valve_control.recordings.bags.errors import BagError
 
-FORM = re.compile(r"\s*([A-Za-z_][\w./]*)\s*(<=|>=|==|!=|<|>)\s*([^<>=!]+?)\s*$")
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+FORM = re.compile(rf"\s*([A-Za-z_][\w./]*)\s*(<=|>=|==|!=|<|>)\s*({NUMBER})\s*")
 OPERATORS: dict[str, Callable[[float, float], bool]] = {
     "<": operator.lt,
     "<=": operator.le,
@@ -52,16 +53,10 @@ def check(text: str, valves: Mapping[str, Mapping[str, Any]]) -> list[Expectatio
 
     Raises BagError if the text is no condition or there is no such number.
     """
-    found = FORM.match(text)
-    try:
-        if found is None:
-            raise ValueError
-        limit = float(found[3])
-    except ValueError:
-        raise BagError(f"--expect takes a condition such as 'e_rms<0.02', not '{text}'") from None
-    if not math.isfinite(limit):
-        raise BagError(f"--expect {text}: {found[3]} is no limit; compare with a finite number")
-    name, sign = found[1], found[2]
+    found = FORM.fullmatch(text)
+    if found is None:
+        raise BagError(f"--expect takes a condition such as 'e_rms<0.02', not '{text}'")
+    name, sign, limit = found[1], found[2], float(found[3])
     chosen = dict(valves)
     for valve in valves:
         if name.startswith(f"{valve}."):
@@ -71,11 +66,8 @@ def check(text: str, valves: Mapping[str, Mapping[str, Any]]) -> list[Expectatio
     for valve, results in chosen.items():
         known = figures(results)
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
-            raise BagError(
-                f"--expect {text}: there is no number '{name}'; "
-                + (f"did you mean {', '.join(near)}?" if near else f"there is {', '.join(known)}")
-            )
+            near = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known
+            raise BagError(f"--expect {text}: there is no number '{name}'; there is {', '.join(near)}")
         value = known[name]
         met = value is not None and math.isfinite(value) and OPERATORS[sign](value, limit)
         outcomes.append(ExpectationResult(text, valve, value, met))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from valve_control.control.drivers.scaling import Scale
 from valve_control.recordings.bags.bag import Bag
-from valve_control.recordings.bags.cdr import Decoder, normal
+from valve_control.recordings.bags.cdr import Decoder
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.messages import absolute
 from valve_control.recordings.bags.table import PART as TIME
@@ -84,7 +84,6 @@ def _mapped(bag: Bag, text: str) -> tuple[str, str, Source]:
         return valve, part, Source(bag.table.topics[at].name, "data", scale)
     source, scale = scaled(text)
     topic, _, field = source.partition(".")
-    normal(field or "data")
     return valve, part, Source(absolute(topic), field or "data", scale)
 
 
@@ -197,5 +196,4 @@ def _wrong_field(bag: Bag, source: Source) -> str:
     for _, block in bag.blocks([source.topic]):
         if decoder.decode(block.buffer, block.offset, block.length)[1].any():
             return ""
-    error = str(decoder.absence or decoder.error)
-    return f"{source.topic} ({topic.type}): {error}" if error else ""
+    return f"{source.topic} ({topic.type}): {decoder.reason}" if decoder.reason else ""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from valve_control.arrays import Floats, Integers
-from valve_control.recordings.bags.bag import Bag, Series
+from valve_control.recordings.bags.bag import Series
 from valve_control.recordings.bags.cdr import deserialized
 
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
@@ -43,15 +43,6 @@ class Interval(NamedTuple):
     start: int  # ns
     end: int  # ns
     reasons: tuple[str, ...]  # those that the mode before did not have first; () if they are not recorded
-
-
-def diagnostic_topics(bag: Bag) -> list[str]:
-    """Topics on which nodes publish diagnostics."""
-    return [
-        t.name
-        for t in bag.topics.values()
-        if t.type == TYPE and t.name.endswith("/diagnostics") and not t.unreadable
-    ]
 
 
 def words(series: Sequence[Series], problems: list[str]) -> dict[str, list[Word]]:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Loads a bag as valves with their signals, cleaned and aligned to the LVDT readings."""
 
-import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -16,7 +15,7 @@ from valve_control.control.supervision.journal import Block, block
 from valve_control.control.supervision.state_snapshot import Account, account
 from valve_control.recordings import modes, parameters
 from valve_control.recordings.bags.bag import Bag, Series
-from valve_control.recordings.bags.cdr import Decoder, deserialized
+from valve_control.recordings.bags.cdr import deserialized
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.table import TableFile
 from valve_control.recordings.cleaning import Samples, clean, seconds
@@ -129,30 +128,30 @@ def load(
     for source in (source for valve in topics.values() for source in valve.sources.values()):
         if source.field not in fields.setdefault(source.topic, []):
             fields[source.topic].append(source.field)
-    diagnostics = modes.diagnostic_topics(bag)
+    sound = {name: topic for name, topic in bag.topics.items() if not topic.unreadable}
+    diagnostics = [n for n, t in sound.items() if t.type == modes.TYPE and n.endswith("/diagnostics")]
     raw = {parameters.TOPIC, *diagnostics}
     if journals:
         raw |= {topic for valve in topics.values() for topic in (valve.journal, valve.memory)}
-    raw &= {name for name, topic in bag.topics.items() if not topic.unreadable}
+    raw &= sound.keys()
     labels = {name: _labels(bag, name) for name in states}
 
     first = bag.begin + nanoseconds(start or 0.0, "--from")
     last = None if end is None else bag.begin + nanoseconds(end, "--to")
-    read = bag.read(fields, raw, states, None if start is None else first, last)
+    read = bag.read(fields, raw, None if start is None else first, last)
     series = without_strays(read, bag.problems)
     if bag.table is not None and clock is not None:
         raise BagError(f"--clock {clock}: {path} is a table, whose rows have one time ({bag.table.clock})")
     used = decide(series, groups, clock, bag.path) if bag.table is None else Clock(bag.table.clock)
     bag.problems += used.notes
     series = used.read(series)
-    if used.apart:
-        times = (series[name].publish_time for group in groups for name in group)
-        first = min((int(time.min()) for time in times if len(time)), default=first)
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
-    if start is not None:
-        nodes = {name: node.from_time(first) for name, node in nodes.items()}
+    since = 0
+    if start is not None:  # by the clock that counts
+        times = (series[name].publish_time for group in groups for name in group)
+        since = min((int(time.min()) for time in times if len(time)), default=first)
+        nodes = {name: node.from_time(since) for name, node in nodes.items()}
     words = modes.words([series[name] for name in diagnostics], bag.problems)
-    since = 0 if start is None else first
     valves = {
         name: _valve(valve, series, labels.get(valve.state, []), nodes, words, since, used, bag.table)
         for name, valve in topics.items()
@@ -209,11 +208,8 @@ def _accounts(notes: Series | None) -> dict[tuple[int, int], Account]:
 
 
 def _labels(bag: Bag, topic: str) -> list[str]:
-    message = next(bag.messages(topic), None)
-    try:
-        return [] if message is None else Decoder(bag.topic(topic), ()).labels(message)
-    except (BagError, struct.error):
-        return []
+    message = deserialized(next(bag.messages(topic), b""), STATE_TYPE)
+    return [] if message is None else [one.label for one in message.layout.dim]
 
 
 def _valve(

@@ -65,9 +65,8 @@ class Report(NamedTuple):
     @property
     def html(self) -> str:
         """One self-contained page."""
-        return page.page(
-            self.title, {head: _html(pieces) for head, pieces in self.sections.items() if pieces}
-        )
+        sections = {head: "".join(map(_html, pieces)) for head, pieces in self.sections.items() if pieces}
+        return page.page(self.title, sections)
 
 
 def _lines(pieces: Sequence[Piece]) -> Iterator[str]:
@@ -88,11 +87,7 @@ def _lines(pieces: Sequence[Piece]) -> Iterator[str]:
                 yield piece
 
 
-def _html(pieces: Sequence[Piece]) -> str:
-    return "".join(map(_element, pieces))
-
-
-def _element(piece: Piece) -> str:
+def _html(piece: Piece) -> str:
     match piece:
         case Table(head, rows):
             return page.table(head, rows)
@@ -101,7 +96,8 @@ def _element(piece: Piece) -> str:
         case Notes(texts):
             return page.notes(texts)
         case Aside(summary, pieces):
-            return f"<details><summary>{html.escape(summary)}</summary>{_html(pieces)}</details>"
+            inner = "".join(map(_html, pieces))
+            return f"<details><summary>{html.escape(summary)}</summary>{inner}</details>"
     return page.notes([piece], "text")
 
 

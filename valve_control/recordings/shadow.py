@@ -77,6 +77,7 @@ class _Replay:
     """Runs a supervisor with the recorded parameters of each moment."""
 
     exact = False  # whether the valve got the very voltages that the supervisor gives without overrides
+    _why_nothing = "the bag has no reading in this part"
 
     def __init__(self, valve: ValveRecording, overrides: Mapping[str, Any]) -> None:
         self._valve = valve
@@ -100,7 +101,7 @@ class _Replay:
             if told is not None and len(rows) % REPORT == 0:
                 told(REPORT)
         if not rows:
-            raise BagError(f"{self._valve.name}: nothing to replay; {self._why_nothing()}")
+            raise BagError(f"{self._valve.name}: nothing to replay; {self._why_nothing}")
         stamp = np.array([row[0] for row in rows], dtype=np.int64)
         command, measurement, recorded, voltage = (np.array(c) for c in list(zip(*rows, strict=True))[1:])
         time = seconds(stamp, int(stamp[0]))
@@ -115,14 +116,11 @@ class _Replay:
             recorded=recorded,
             voltage=voltage,
             faithful=faithful,
-            left_out=self._left_out,
+            left_out=list(dict.fromkeys(self._left_out)),
         )
 
     def _rows(self) -> Iterator[Row]:
         raise NotImplementedError
-
-    def _why_nothing(self) -> str:
-        return "the bag has no reading in this part"
 
     def _row(self, time: int, reading: float, recorded: float, voltage: float) -> Row:
         command = self._supervisor.memory.command.value
@@ -139,21 +137,18 @@ class _Replay:
             if self._overrides:
                 raise
             self._faithful = False
-            self._say(f"recorded parameters not used: {error}")
+            self._left_out.append(f"recorded parameters not used: {error}")
             return
         if values != self._values:
             self._supervisor.apply(values, params)
             self._values = values
-
-    def _say(self, text: str) -> None:
-        if text not in self._left_out:
-            self._left_out.append(text)
 
 
 class _ByJournal(_Replay):
     """Replays what the controller's journal lists, in its order, from its first snapshot on."""
 
     exact = True
+    _why_nothing = "this part of the controller's journal has no account on ~/memory to begin with"
 
     def _rows(self) -> Iterator[Row]:
         blocks = self._valve.journal
@@ -184,16 +179,19 @@ class _ByJournal(_Replay):
                     yield self._row(time, row[READING], row[VOLTAGE], voltage)
             before = block
         if gaps:
-            self._say(f"parts of the controller's journal are missing in {gaps} places")
+            self._left_out.append(f"parts of the controller's journal are missing in {gaps} places")
         if self._mismatches:
-            self._say(
+            self._left_out.append(
                 f"{self._mismatches} times the controller remembered something else than the shadow, which "
                 "went on from its account"
             )
         if self._refused:
-            self._say(f"{self._refused} accounts of what the controller remembers are of another version")
+            self._why_nothing = (
+                f"{self._refused} accounts of what the controller remembers are of another version"
+            )
+            self._left_out.append(self._why_nothing)
         if unseen:
-            self._say(f"{unseen} readings did not reach the controller")
+            self._left_out.append(f"{unseen} readings did not reach the controller")
         self._compare(answered)
 
     def _from_account(self, blocks: list[Block]) -> list[Block]:
@@ -271,16 +269,11 @@ class _ByJournal(_Replay):
         others = (Counter(heard.value.tolist()) - Counter(voltage for _, voltage in answered)).total()
         if others:
             early, late = (answered[0][0] - heard.time[0]) * 1e-9, (heard.time[-1] - answered[-1][0]) * 1e-9
-            self._say(
+            self._left_out.append(
                 f"{others} of {len(heard.time)} messages on {heard.topic} are not in the part of the journal "
                 f"that is replayed: it begins {max(early, 0.0):.3f} s after the first of them and ends "
                 f"{max(late, 0.0):.3f} s before the last"
             )
-
-    def _why_nothing(self) -> str:
-        if self._refused:
-            return "its accounts of what the controller remembers are of another version of valve_control"
-        return "this part of the controller's journal has no account on ~/memory to begin with"
 
 
 class _ByTimes(_Replay):
@@ -297,13 +290,13 @@ class _ByTimes(_Replay):
             self._use({"sample_period": self._valve.period})
         if node is None or node.missing or self._left_out:
             self._faithful = False
-            self._say(
+            self._left_out.append(
                 "not all of the recorded controller's parameters are known: defaults stand for the others"
             )
         without = (
             "without a controller's ~/journal and ~/memory" if self._valve.topics.plain else "with --map"
         )
-        self._say(f"{without} what a controller took in is known to a sample or so, from times")
+        self._left_out.append(f"{without} what a controller took in is known to a sample or so, from times")
         readings, commands = (self._valve.recorded[part] for part in ("spool_position", "spool_command"))
         answered, recorded = self._answers(readings)
         taken, begin = 0, int(readings.time[0])

@@ -71,7 +71,7 @@ def timing(time: Integers, sequence: Integers) -> Timing:
     paused = (intervals > PAUSE * period) & (numbers * period < 0.5 * intervals)
     span = float(time[-1] - time[0]) * 1e-9 - float(np.sum(intervals[paused] - period))
     lost = lost_messages(sequence)
-    if lost is not None and len(time) + lost > MOST_SENT * span / period + APART:
+    if lost is not None and (len(time) + lost - APART) * period > MOST_SENT * span:
         lost = None  # more than were sent: the numbers count something else too
     return Timing(
         messages=len(time),

@@ -99,7 +99,7 @@ class Bag:
             ) from error
         for file in self._files:
             self.problems += file.problems
-            for topic in map(self._as_listed, file.topics):
+            for topic in file.topics:
                 known = self.topics.setdefault(topic.name, topic)
                 if not self._is_known(topic):
                     one, other = (f"{t.type} ({t.encoding})" for t in (known, topic))
@@ -171,8 +171,7 @@ class Bag:
         """Yield all messages, and the names of the topics of their file, "" but for ``topics``."""
         before = 0
         for file in self._files:
-            listed = map(self._as_listed, file.topics)
-            names = [t.name if t.name in topics and self._is_known(t) else "" for t in listed]
+            names = [t.name if t.name in topics and self._is_known(t) else "" for t in file.topics]
             for block in file.blocks():
                 if len(block.topic):
                     block = block._replace(place=before + block.place)
@@ -185,21 +184,19 @@ class Bag:
         self,
         fields: Mapping[str, Sequence[str]],
         raw: Collection[str] = (),
-        sparse: Collection[str] = (),
         start: int | None = None,
         end: int | None = None,
     ) -> dict[str, Series]:
         """Read numeric ``fields`` of topics, and whole messages of the topics in ``raw``.
 
-        ``start``, ``end`` [ns]: log times of what is kept; whole messages count from the bag's beginning. Of
-        topics in ``sparse`` fields that a message does not have are NaN. Raises BagError if there is no such
-        topic, or its type is unknown.
+        ``start``, ``end`` [ns]: log times of what is kept; whole messages count from the bag's beginning.
+        Raises BagError if there is no such topic, or its type is unknown.
         """
         if self.table is not None:
             return {name: self._column(name, names, start, end) for name, names in fields.items()}
         collected = {
-            name: _Collector(self.topic(name), fields.get(name, ()), name in raw, name in sparse)
-            for name in {*fields, *raw}
+            name: _Collector(self.topic(name), fields.get(name, ()), name in raw)
+            for name in dict.fromkeys([*fields, *sorted(raw)])
         }
         last = np.inf if end is None else end
         for name, block in self.blocks(collected):
@@ -274,11 +271,6 @@ class Bag:
                 f"{error}; it is not used (valve-control bag recover writes a copy with a new one)"
             )
             return found
-        if (self.listing.version or 0) > bag_metadata.VERSION:
-            raise BagError(
-                f"{self.path} is a bag of version {self.listing.version}; versions up to "
-                f"{bag_metadata.VERSION} are known"
-            )
         paths = [self.path / name for name in self.listing.files]
         for path in sorted({*paths, *found}):
             if not path.exists():
@@ -291,10 +283,6 @@ class Bag:
         if not present:
             raise BagError(f"{self.path} has none of the files that its metadata.yaml names")
         return present
-
-    def _as_listed(self, topic: Topic) -> Topic:
-        """``topic`` with the serialization that metadata.yaml names, if that is another than CDR."""
-        return topic._replace(encoding=self.listing.formats.get(topic.name, topic.encoding))
 
     def _is_known(self, topic: Topic) -> bool:
         known = self.topics[topic.name]
@@ -334,14 +322,10 @@ class Bag:
 
     def _decompressed(self, block: Block) -> Block:
         """``block``, whose messages rosbag2 may have compressed, with the messages as they were sent."""
-        if self.listing.compression != "message" and not block.first.startswith(ZSTD_MAGIC):
+        if not block.first.startswith(ZSTD_MAGIC):
             return block
         import zstandard
 
-        if self.compression != "message":
-            self._complain(
-                f"messages of {self.path} are compressed with zstd, though no metadata.yaml says so"
-            )
         decompress = zstandard.ZstdDecompressor().decompressobj
         parts, good = [], []
         for i, content in enumerate(block.contents()):
@@ -381,9 +365,9 @@ def _begin(file: "File") -> int:
 class _Collector:
     """Collects the columns of one topic, block by block."""
 
-    def __init__(self, topic: Topic, fields: Sequence[str], raw: bool, sparse: bool) -> None:
-        # Each field has a decoder: messages of one publisher may have one, those of another the other.
-        self._decoders = {field: Decoder(topic, [field], optional=sparse) for field in fields}
+    def __init__(self, topic: Topic, fields: Sequence[str], raw: bool) -> None:
+        self._decoder = Decoder(topic, fields) if fields else None
+        self._fields = fields
         self._keep_raw = raw
         self._raw: list[bytes] = []
         # Piece by piece: log time, publish time, sequence, place; fields; which messages have these.
@@ -391,32 +375,31 @@ class _Collector:
         self._columns: list[list[npt.NDArray[Any]]] = [[np.empty(0, dtype=kind)] for kind in kinds]
 
     def take(self, block: Block) -> None:
-        decoders = self._decoders.values()
-        found = [one.decode(block.buffer, block.offset, block.length) for one in decoders]
-        values, masks = [numbers[:, 0] for numbers, _ in found], [mask for _, mask in found]
+        columns = [*block[2:6]]
+        if self._decoder is not None:
+            for decoded in self._decoder.decode(block.buffer, block.offset, block.length):
+                columns += [*decoded.T]
         if self._keep_raw:
             self._raw += block.contents()
-        for pieces, column in zip(self._columns, (*block[2:6], *values, *masks), strict=True):
+        for pieces, column in zip(self._columns, columns, strict=True):
             pieces.append(column.copy())
 
     def series(self) -> Series:
         log, publish, sequence, place, *rest = map(_joined, self._columns)
-        count = len(self._decoders)
-        first = next(iter(self._decoders.values()), None)
+        values, masks = rest[: len(self._fields)], rest[len(self._fields) :]
         series = Series(
             log_time=log,
             publish_time=publish,
             sequence=sequence,
             place=place,
-            values=dict(zip(self._decoders, rest[:count], strict=True)),
-            present=dict(zip(self._decoders, rest[count:], strict=True)),
+            values=dict(zip(self._fields, values, strict=True)),
+            present={field: mask for field, mask in zip(self._fields, masks, strict=True) if not mask.all()},
             raw=self._raw,
-            undecodable=int(np.count_nonzero(~rest[count])) - first.absent if first is not None else 0,
-            error=first.error if first is not None else "",
-            absent={field: one.absent for field, one in self._decoders.items() if one.absent},
+            undecodable=self._decoder.undecodable if self._decoder else 0,
+            error=self._decoder.error if self._decoder else "",
+            absent=self._decoder.absent if self._decoder else {},
         )
-        series = series.only(np.logical_or.reduce(rest[count:])) if first is not None else series
-        return series._replace(present={f: mask for f, mask in series.present.items() if not mask.all()})
+        return series.only(np.logical_or.reduce(masks)) if masks else series
 
 
 def _joined(pieces: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:

@@ -6,7 +6,6 @@ MATLAB's objects and version 7.3 are read with mat-io, MDF with asammdf: both ar
 """
 
 import csv
-import datetime
 import functools
 import re
 import warnings
@@ -297,23 +296,15 @@ def _column(
 
 
 @functools.lru_cache
-def _day(year: str, month: str, day: str) -> int:
-    return (datetime.date(int(year), int(month), int(day)) - datetime.date(1970, 1, 1)).days * DAY * 10**9
-
-
-@functools.lru_cache
 def _nanoseconds(cell: str) -> int:
     """Time [ns] of a date since 1970, of a time of day since midnight. Raises ValueError."""
     found = STAMP.fullmatch(cell)
     if found is None:
         raise ValueError
-    year, _, month, day, german_day, german_month, german_year, *clock, fraction = found.groups()
-    ns = int((fraction or "").ljust(9, "0")[:9])
-    for part, size in zip(clock, (3600, 60, 1), strict=True):
-        ns += int(part or 0) * size * 10**9
-    if year or german_year:
-        ns += _day(year or german_year, month or german_month, day or german_day)
-    return ns
+    year, _, month, day, german_day, german_month, german_year, hour, minute, second, rest = found.groups()
+    date = f"{year or german_year or 1970}-{month or german_month or 1:0>2}-{day or german_day or 1:0>2}"
+    clock = f"{hour or 0:0>2}:{minute or '00'}:{second or '00'}.{(rest or '0')[:9]}"
+    return int(np.datetime64(f"{date}T{clock}", "ns").astype(np.int64))
 
 
 def _with_dates(columns: Sequence[Column]) -> list[Column]:

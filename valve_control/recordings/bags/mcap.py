@@ -87,7 +87,6 @@ class McapFile:
             raise BagError(f"{path} is not an MCAP file: it does not begin with MCAP's magic bytes")
         self._chunks: list[tuple[int, int]] = []  # beginnings and lengths of their records
         self.damaged: set[int] = set()  # beginnings of the chunks that are left out, of those read so far
-        self._loose = False  # whether messages stand outside of chunks
         self._index()
 
     def close(self) -> None:
@@ -95,9 +94,8 @@ class McapFile:
         self._buffer = np.empty(0, dtype=np.uint8)
 
     def blocks(self) -> Iterator[Block]:
-        """Yield all messages."""
-        if self._loose:
-            yield from self._blocks(self._buffer, len(MAGIC))
+        """Yield all messages, first those outside of chunks."""
+        yield from self._blocks(self._buffer, len(MAGIC))
         for place in self._chunks:
             yield from self._blocks(self._content(*place), 0)
 
@@ -115,9 +113,8 @@ class McapFile:
     def _index(self) -> None:
         """Find chunks, schemas and channels; a finished file repeats the last two in its summary."""
         finished, rest = False, self.size
-        for messages, others, end in _windows(self._buffer, len(MAGIC)):
+        for _, others, end in _windows(self._buffer, len(MAGIC)):
             rest = self.size - end
-            self._loose = self._loose or len(messages) > 0
             self._learn(self._buffer, others)
             self._chunks += [(at, length) for opcode, at, length in others.tolist() if opcode == Opcode.CHUNK]
             finished = finished or Opcode.FOOTER in others[:, 0]

@@ -17,8 +17,6 @@ LIBRARY = "valve_control"
 class McapStorage:
     """An MCAP file of profile ros2."""
 
-    whole = False  # whether it is finished after an error of writing
-
     def __init__(self, path: Path, compression: str) -> None:
         self.pending = 0
         self._file = path.open("xb")

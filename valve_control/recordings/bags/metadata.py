@@ -2,17 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads and writes metadata.yaml of rosbag2 bags: reads versions 1 to 9, writes 9 (ROS 2 Jazzy)."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 import yaml
 from rosbags.interfaces import Qos
-from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
+from rosbags.rosbag2.metadata import parse_qos
 
 from valve_control import inputs, outputs
 from valve_control.recordings.bags.errors import BagError, refuse_pointer
-from valve_control.recordings.bags.messages import CDR, Topic, absolute
+from valve_control.recordings.bags.messages import Topic
 
 NAME = "metadata.yaml"
 VERSION = 9
@@ -28,7 +28,6 @@ class Listing(NamedTuple):
     compression: str = ""  # file, message or ""
     message_count: int = 0
     files: tuple[str, ...] = ()
-    formats: Mapping[str, str] = {}  # serialization by topic, where it is another than CDR
 
 
 # Writing
@@ -40,11 +39,6 @@ def as_text(tree: Any) -> str:
         tree, Dumper=DUMPER, sort_keys=False, default_flow_style=False, width=10**6, allow_unicode=True
     )
     return text.strip()
-
-
-def qos_text(profiles: Sequence[Qos]) -> str:
-    """QoS profiles as YAML text, "" for none."""
-    return as_text(dump_qos_v9(list(profiles))) if profiles else ""
 
 
 def write(folder: Path, tree: dict[str, Any]) -> None:
@@ -100,21 +94,14 @@ def read(folder: Path) -> Listing:
     try:
         refuse_pointer(path)
         bag = inputs.from_yaml(path.read_text(encoding="utf-8"))[ROOT]
-        version = int(bag["version"])
-        topics = [entry["topic_metadata"] for entry in bag["topics_with_message_count"]]
         mode = str(bag.get("compression_mode", "")).lower()
         listing = Listing(
-            version=version,
+            version=int(bag["version"]),
             distribution=str(bag.get("ros_distro", "")),
             compression="" if mode == "none" else mode,
             message_count=int(bag["message_count"]),
             # Before version 4 the paths began with the bag's own folder.
             files=tuple(dict.fromkeys(PurePath(str(name)).name for name in bag["relative_file_paths"])),
-            formats={
-                absolute(topic["name"]): topic["serialization_format"]
-                for topic in topics
-                if topic["serialization_format"] != CDR
-            },
         )
     except OSError as error:
         raise BagError(f"{path} cannot be read: {error.strerror or error}") from error

@@ -37,8 +37,6 @@ class SqliteStorage:
     ``write`` and ``size`` apart, all methods raise OSError or sqlite3.Error.
     """
 
-    whole = True  # whether it is finished after an error of writing
-
     def __init__(self, path: Path) -> None:
         self.pending = 0
         self._topics: dict[str, int] = {}

@@ -145,7 +145,9 @@ class TableFile:
             count = len(self.columns[mapped[0]].values) if mapped else most
             values, self.clock = np.arange(count, dtype=np.float64), f"{ROW}{scale}"
         else:
-            values, self.clock = self._usable(at), self._clock(at, scale)
+            if flaw := self.columns[at].flaw:
+                raise BagError(f"{self.path}: {flaw}")
+            values, self.clock = self.columns[at].values, self._clock(at, scale)
         self._use(values, scale, range(len(self.columns)))
         return rest
 
@@ -153,12 +155,6 @@ class TableFile:
         column = self.columns[at]
         since = f" since {column.since}" if column.since else ""
         return f"column {column.name or at + 1}{scale if scale != ONE else ''}{since}"
-
-    def _usable(self, at: int) -> Floats:
-        column = self.columns[at]
-        if column.flaw:
-            raise BagError(f"{self.path}: {column.flaw}")
-        return column.values
 
     def _take_own(self, notes: list[str]) -> None:
         """Take the times of the columns that are times by their names. Raises BagError."""

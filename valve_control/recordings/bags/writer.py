@@ -2,16 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes rosbag2 bags (Jazzy); what was flushed survives a kill of the process."""
 
+import os
 import sqlite3
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from importlib.util import find_spec
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from rosbags.interfaces import Qos
+from rosbags.rosbag2.metadata import dump_qos_v9
 
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.errors import BagError
@@ -21,7 +22,6 @@ from valve_control.recordings.bags.storage import PENDING, SqliteStorage
 if TYPE_CHECKING:
     from valve_control.recordings.bags.mcap_storage import McapStorage
 
-COMPRESSIONS = ("none", "zstd", "lz4")
 SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}
 
 
@@ -43,7 +43,7 @@ def _storage(name: str, path: Path, compression: str) -> "SqliteStorage | McapSt
     return McapStorage(path, compression)
 
 
-class BagWriter:
+class BagWriter(AbstractContextManager["BagWriter"]):
     """Writes a new bag into ``folder``. Each method raises BagError, after which the bag is closed."""
 
     def __init__(self, folder: Path, storage: str = "mcap", compression: str = "none") -> None:
@@ -52,8 +52,8 @@ class BagWriter:
         self._storage_name = storage
         self._topics: dict[str, Topic] = {}
         self.counts: Counter[str] = Counter()  # messages so far by topic, flushed or not
-        self._begin = self._end = 0  # ns
-        self._flushed = (Counter[str](), 0, 0)  # counts, begin, end of what was flushed
+        self._begin, self._end = 2**63 - 1, 0  # ns
+        self._flushed = Counter[str]()  # counts of what was flushed
         try:
             folder.mkdir(parents=True)
         except FileExistsError:
@@ -66,7 +66,7 @@ class BagWriter:
             self._storage = _storage(storage, self.path, compression)
         except (OSError, sqlite3.Error) as error:
             raise BagError(f"{self.path} cannot be begun: {reason(error)}") from error
-        self._place = _identity(self.path)
+        self._file = self.path.stat()
 
     @property
     def message_count(self) -> int:
@@ -87,7 +87,8 @@ class BagWriter:
         if name in self._topics:
             raise BagError(f"{name} is in the bag {self.folder} already; a topic is added once")
         form = definition_format if definition else ""
-        topic = Topic(name, type_name, CDR, form, definition, type_hash, metadata.qos_text(qos))
+        offered = metadata.as_text(dump_qos_v9(list(qos))) if qos else ""
+        topic = Topic(name, type_name, CDR, form, definition, type_hash, offered)
         self._topics[name] = topic
         try:
             self._storage.add_topic(topic)
@@ -98,12 +99,7 @@ class BagWriter:
         """Write a serialized message of ``topic``; ``log_time``: received, ``publish_time``: sent [ns]."""
         self._check_open()
         self._storage.write(topic, log_time, publish_time, sequence, data)
-        if not self.counts:
-            self._begin = self._end = log_time
-        elif log_time > self._end:
-            self._end = log_time
-        elif log_time < self._begin:
-            self._begin = log_time
+        self._begin, self._end = min(self._begin, log_time), max(self._end, log_time)
         self.counts[topic] += 1
         if self._storage.pending >= PENDING:
             self.flush()
@@ -117,21 +113,19 @@ class BagWriter:
             self._storage.flush()
         except (OSError, sqlite3.Error) as error:
             self._fail(error)
-        self._flushed = (self.counts.copy(), self._begin, self._end)
+        self._flushed = self.counts.copy()
 
     def check_place(self) -> None:
         """Raise BagError, after which the bag is closed, if the file that is being written is not there."""
         self._check_open()
-        if _identity(self.path) == self._place:
-            return
-        self._closed = True
+        with suppress(OSError):
+            if os.path.samestat(self.path.stat(), self._file):
+                return
         with suppress(OSError, sqlite3.Error):
             self._storage.flush()
-        with suppress(OSError, sqlite3.Error):
-            self._storage.abandon()
-        raise BagError(
-            f"{self.path} was removed, moved or replaced while it was written, with {self.message_count} "
-            "messages in it; nothing more is recorded (bag recover writes a finished copy of a moved file)"
+            self._flushed = self.counts
+        self._end_with(
+            f"{self.path} was removed, moved or replaced while it was written; nothing more is recorded"
         )
 
     def close(self) -> None:
@@ -153,12 +147,7 @@ class BagWriter:
                 "the bag's file is whole (valve-control bag recover writes a copy with one)"
             ) from error
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
     def _check_open(self) -> None:
@@ -167,40 +156,27 @@ class BagWriter:
 
     def _metadata(self) -> dict[str, Any]:
         topics = [(topic, self.counts[name]) for name, topic in self._topics.items()]
-        return metadata.of_file(self._storage_name, self.path.name, self._begin, self._end, topics)
+        begin = min(self._begin, self._end)
+        return metadata.of_file(self._storage_name, self.path.name, begin, self._end, topics)
 
     def _fail(self, error: Exception) -> NoReturn:
-        """Handle an error of writing: what was flushed stays, and finishes the bag if its storage can."""
-        self._closed = True
-        end = "the bag has no end (valve-control bag recover writes a finished copy)"
-        self.counts, self._begin, self._end = self._flushed
+        """Handle an error of writing."""
+        self._end_with(f"{self.path} cannot be written any further: {reason(error)}")
+
+    def _end_with(self, text: str) -> NoReturn:
+        """Close the bag, whose flushed messages stay, without an end, and raise BagError."""
+        self._closed, self.counts = True, self._flushed
         with suppress(OSError, sqlite3.Error):
             self._storage.abandon()
-            if self._storage.whole:
-                metadata.write(self.folder, self._metadata())
-                end = "the bag is closed and whole"
         raise BagError(
-            f"{self.path} cannot be written any further: {reason(error)}; {end}, with {self.message_count} "
-            "messages"
-        ) from error
-
-
-def _identity(path: Path) -> tuple[int, int] | None:
-    """What distinguishes a file from another one of the same name, None if there is none."""
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_dev, status.st_ino
+            f"{text}; the bag has no end (valve-control bag recover writes a finished copy), with "
+            f"{self.message_count} messages"
+        )
 
 
 def check(storage: str, compression: str) -> None:
-    """Raise BagError unless there is such a storage with such a compression."""
-    if storage not in SUFFIXES:
-        raise BagError(f"storage is '{storage}'; it must be mcap or sqlite3")
+    """Raise BagError unless the ``storage`` can be written with this ``compression``."""
     if storage == "mcap" and usual() != "mcap":
         raise BagError("storage mcap needs the Python package mcap (pip install mcap); sqlite3 needs none")
-    if compression not in COMPRESSIONS:
-        raise BagError(f"compression is '{compression}'; it must be none, zstd or lz4")
     if storage == "sqlite3" and compression != "none":
         raise BagError(f"compression is '{compression}'; storage sqlite3 has none, storage mcap has")
