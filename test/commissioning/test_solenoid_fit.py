@@ -61,10 +61,9 @@ def test_voltages_and_readings_without_noise_are_the_valve():
         presliding=0.03, static_ratio=1.1, offset=0.0, delay=0.0005,
     )  # fmt: skip
     counted = []
-    found = magnet.refined(begin, PERIOD, errors, lambda: counted.append(1), 2)
+    found = magnet.refined(begin, PERIOD, errors, lambda: counted.append(1))
     assert found == pytest.approx(TRUE, rel=0.03, abs=2e-3)
     assert len(counted) <= 20 * (2 + magnet.UNKNOWNS)  # it has converged long before its bound
-    assert magnet.refined(begin, PERIOD, errors, lambda: None, 1) == found  # on any number of threads
 
 
 def test_dcarc_gets_to_know_the_solenoids():

@@ -8,7 +8,6 @@ valve (``solenoid``, docs/explanation/valve_model.md) gets the voltages of the t
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -128,8 +127,6 @@ def first_guess(model: TransferFunction, friction: Friction, offset: float, dela
     """
     poles = sorted(np.roots(model.denominator), key=lambda pole: (abs(pole), pole.imag))
     slow = [pole for pole in poles if pole.imag != 0.0][:2] or poles[:2]
-    if len(poles) < 3 or abs(poles[1] - np.conj(poles[0])) < 1e-6 * abs(poles[0]):
-        slow = poles[:2]
     speed = math.sqrt(abs(slow[0] * slow[1]))
     damping = float(-np.real(slow[0] + slow[1])) / (2.0 * speed)
     others = [pole.real for pole in poles if pole not in slow and pole.imag == 0.0]
@@ -198,39 +195,23 @@ def refined(
     begin: Magnet,
     period: float,
     errors: Callable[[Magnet], Floats],
-    tell: Callable[[], None],
-    threads: int = 1,
+    tell: Callable[[], None] = lambda: None,
 ) -> Magnet:
     """The valve near ``begin`` whose ``errors``, over what is allowed, are least.
 
-    On so many ``threads``, with the same result; ``tell`` is called here after each simulation.
+    ``tell`` is called before each simulation.
     """
     about = [(u, value if u.relative else 1.0) for u, value in zip(_UNKNOWNS.values(), begin, strict=True)]
     low = unknowns(Magnet(*(u.low * factor for u, factor in about)), period)
     high = unknowns(Magnet(*(u.high * factor for u, factor in about)), period)
     inside = np.clip(unknowns(begin, period), low + INSIDE * (high - low), high - INSIDE * (high - low))
 
-    def simulated(x: Floats) -> Floats:
-        return errors(of_unknowns(x, period))
-
     def residual(x: Floats) -> Floats:
         tell()
-        return simulated(x)
+        return errors(of_unknowns(x, period))
 
-    with ThreadPoolExecutor(threads) as pool:
-
-        def jacobian(x: Floats) -> Floats:
-            """Differences towards the middle of the bounds, so that all stay within."""
-            steps = np.where(x > 0.5 * (low + high), -STEP, STEP) * np.maximum(1.0, np.abs(x))
-            results = []
-            for result in pool.map(simulated, [x, *(x + np.diag(steps))]):
-                tell()
-                results.append(result)
-            here, *there = results
-            return np.column_stack([(y - here) / step for y, step in zip(there, steps, strict=True)])
-
-        done = scipy.optimize.least_squares(
-            residual, inside, jacobian, bounds=(low, high), x_scale="jac", loss="soft_l1",
-            max_nfev=EVALUATIONS, ftol=CONVERGED,
-        )  # fmt: skip
+    done = scipy.optimize.least_squares(
+        residual, inside, bounds=(low, high), diff_step=STEP, x_scale="jac", loss="soft_l1",
+        max_nfev=EVALUATIONS, ftol=CONVERGED,
+    )  # fmt: skip
     return of_unknowns(done.x, period)

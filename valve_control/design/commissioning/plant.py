@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.optimize
 
 from valve_control.arrays import Floats
@@ -25,6 +24,7 @@ from valve_control.design.commissioning import magnet
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.commissioning.magnet import Magnet
+from valve_control.design.identification import rational
 from valve_control.design.identification.rational import Fit
 from valve_control.parameter import Values
 
@@ -99,17 +99,16 @@ def fitted(
     offset: float,
     rest: Rest,
     tell: Callable[[], None] = lambda: None,
-    threads: int = 1,
     richer: Callable[[], Sequence[Fit]] = tuple,
 ) -> Plant:
     """The valve whose simulation comes nearest to ``records``, of the order of one of ``fits``.
 
     ``friction`` and ``offset`` [V] are first guesses. Where none explains the readings, the forms of
-    ``richer`` are tried too, and a valve with solenoids, on so many ``threads``, with the same result.
-    ``tell`` is called after each simulation; what it raises ends the search.
+    ``richer`` are tried too, and a valve with solenoids. ``tell`` is called before each simulation; what it
+    raises ends the search.
     """
     ordered = sorted(fits, key=lambda f: f.order)
-    tests = _Tests(records, [_weight(record, rest) for record in records], tell, threads)
+    tests = _Tests(records, [_weight(record, rest) for record in records], tell)
     best = _best([_near(tests, fit, friction, offset) for fit in ordered])
     if best.error > EXPLAINED:
         best = _best([best, *(_near(tests, fit, friction, offset) for fit in richer())])
@@ -219,10 +218,7 @@ class _Form(NamedTuple):
 
     def plant(self, x: Floats) -> Plant:
         """The valve with unknowns ``x``."""
-        coefficients = np.exp(np.clip(x[: self.order], *self.coefficients()) - 1.0)
-        denominator: npt.NDArray[Any] = np.ones(1)
-        for i in range(0, self.order, 2):
-            denominator = np.polymul(denominator, [1.0, *coefficients[i : min(i + 2, self.order)]])
+        denominator = rational.product(np.clip(x[: self.order], *self.coefficients()) - 1.0)
         scale = denominator[-1] ** (1.0 / self.order)
         ascending = [x[self.order + i] * denominator[-1] * scale**-i for i in range(self.zeros)]
         model = TransferFunction(tuple(map(float, ascending[::-1])), tuple(map(float, denominator)))
@@ -243,21 +239,12 @@ class _Form(NamedTuple):
 
     def begin(self, fit: Fit, friction: Friction, offset: float) -> Floats:
         """Unknowns of a search that begins at ``fit``, within their bounds and not upon them."""
-        fitted_roots = np.roots(fit.model.denominator)
-        factor = np.minimum(1.0, FIRST_POLE * _fastest(self.period) / np.abs(fitted_roots))
-        roots = sorted(factor * fitted_roots, key=lambda root: (abs(root), root.imag))
-        real = [root for root in roots if root.imag == 0.0]
-        single = [real.pop()] if fit.order % 2 else []  # the fastest real pole stands alone
-        pairs = [*zip(real[::2], real[1::2], strict=True)]
-        pairs += [(root.conjugate(), root) for root in roots if root.imag > 0.0]
-        polynomials = [np.poly(pair).real for pair in sorted(pairs, key=lambda pair: abs(pair[0]))]
-        factors = [1.0 + math.log(c) for _, *lower in polynomials for c in lower]
-        factors += [1.0 + math.log(-root.real) for root in single]
-        scale = (abs(fit.model.denominator[-1]) * float(np.prod(factor))) ** (1.0 / fit.order)
-        static = fit.model.denominator[-1]
+        roots, static = np.roots(fit.model.denominator), fit.model.denominator[-1]
+        slowed = np.poly(np.minimum(1.0, FIRST_POLE * _fastest(self.period) / np.abs(roots)) * roots).real
+        scale = float(slowed[-1]) ** (1.0 / fit.order)
         ascending = [c * scale**i / static for i, c in enumerate(reversed(fit.model.numerator))]
         least, most = self.coefficients()
-        poles = np.clip(factors, least + AWAY, most - AWAY)
+        poles = np.clip(1.0 + rational.factors(slowed[1:]), least + AWAY, most - AWAY)
         delay = min(max(fit.delay / self.period, 1e-3), self.bounds()[1][-1] - 1e-3)
         return np.array([*poles, *ascending, max(friction.coulomb, 1e-6), offset, delay])
 
@@ -267,8 +254,7 @@ class _Tests(NamedTuple):
 
     records: Sequence[Record]
     weights: Sequence[Floats]  # of their samples
-    tell: Callable[[], None]  # called after each simulation of a search
-    threads: int
+    tell: Callable[[], None]  # called before each simulation of a search
 
     @property
     def period(self) -> float:
@@ -324,7 +310,7 @@ def _with_solenoids(
         return Plant(m.model, level, m.offset, m.delay, math.inf, m.presliding, m)
 
     def searched(own: _Tests, m: Magnet) -> Plant:
-        found = magnet.refined(m, own.period, lambda m: own.errors(plant(m)), own.tell, own.threads)
+        found = magnet.refined(m, own.period, lambda m: own.errors(plant(m)), own.tell)
         return tests.judged(plant(found))
 
     guess = magnet.first_guess(begin.model, friction, -offset, begin.delay)

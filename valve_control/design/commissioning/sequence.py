@@ -25,6 +25,7 @@ from valve_control.design.commissioning.gains import TunedGains, Verification, V
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.identification import dead_time, lvdt
 from valve_control.design.identification.response import Response
+from valve_control.design.identification.result import plain
 from valve_control.design.tuning import limits, tuner, verification
 from valve_control.design.tuning.tuner import Tuned
 from valve_control.parameter import ParameterError, Value, Values, number
@@ -246,7 +247,7 @@ class Commissioning:
 
         def fit(tell: Callable[..., None]) -> tuple[Response, Plant]:
             response, fits, friction = evaluation.linear(sine, planned, static, rest, tell)
-            begin = [slow, sine], fits, friction, static.offset, rest, tell, self._plan.threads
+            begin = [slow, sine], fits, friction, static.offset, rest, tell
             return response, plant.fitted(*begin, lambda: evaluation.higher(response, evaluation.RICHER)[0])
 
         with self._timed("model"):
@@ -590,27 +591,20 @@ def _about_the_end(
 def as_dict(result: Result) -> dict[str, Any]:
     """For JSON."""
     verified, tests = result.verification, result.tests
-    valve, response = tests.plant, tests.response
+    valve = tests.plant
     return {
-        "limits": {"voltage": result.plan.limits.voltage, "travel": result.plan.limits.travel},
-        "rest": tests.rest._asdict(),
-        "static": tests.static._asdict(),
-        "response": {
-            "frequency_hz": response.frequency,
-            "real": response.value.real,
-            "imaginary": response.value.imag,
-            "deviation": response.deviation,
-            "coherence": response.coherence,
-        },
+        "limits": plain(result.plan.limits),
+        "rest": plain(tests.rest),
+        "static": plain(tests.static),
+        "response": tests.response.as_dict(),
         "valve": {
-            "numerator": list(valve.model.numerator),
-            "denominator": list(valve.model.denominator),
+            **plain(valve.model),
             "static_gain": valve.model.static_gain,
             "delay_s": valve.delay,
             "offset": valve.offset,
-            "friction": valve.friction._asdict(),
+            "friction": plain(valve.friction),
             "presliding": valve.presliding,
-            "solenoids": None if valve.magnet is None else valve.magnet._asdict(),
+            "solenoids": plain(valve.magnet),
             "error": valve.error,
         },
         "chatter_limit": {"wanted": result.plan.chatter, "kept": result.tuned.chatter},
@@ -618,10 +612,10 @@ def as_dict(result: Result) -> dict[str, Any]:
         "tuned": tuner.as_dict(result.tuned),
         "applied": result.applied,
         "verification": {
-            "measured": verified.measured._asdict(),
-            "simulated": verified.expected._asdict(),
-            "measured_before": None if verified.before is None else verified.before._asdict(),
-            "simulated_before": None if verified.former is None else verified.former._asdict(),
+            "measured": plain(verified.measured),
+            "simulated": plain(verified.expected),
+            "measured_before": plain(verified.before),
+            "simulated_before": plain(verified.former),
             "unseen_valves": verification.as_dict(result.tuned.chosen.verified),
         },
         "notes": result.notes,

@@ -266,11 +266,7 @@ def as_dict(found: Identification) -> dict[str, Any]:
     else:
         about["response"] = {
             "method": m.method,
-            "frequency_hz": m.frequency,
-            "real": m.value.real,
-            "imaginary": m.value.imag,
-            "deviation": m.deviation,
-            "coherence": m.coherence,
+            **m.as_dict(),
             **corners_dict(rational.measured_corners(m, known.model.static_gain)),
         }
         about["fits"] = [fit_dict(fit, m) for fit in found.fits]
