@@ -16,7 +16,6 @@ from valve_control.design.commissioning.bench import SafetyLimits
 from valve_control.design.commissioning.evaluation import Rest
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.identification import dead_time, first_gains, rational, theta
-from valve_control.design.identification.bode import held_response
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
 from valve_control.design.identification.response import Response
@@ -52,10 +51,7 @@ class Known:
         Raises ParameterError.
         """
         frequency = np.geomspace(LOWEST, min(HIGHEST, FASTEST / period), FREQUENCIES)
-        value = held_response(plant.model, frequency, period, plant.delay)
-        exact = Response(
-            frequency, value, CERTAIN * np.abs(value), np.ones(len(value)), period, "fitted valve", ()
-        )
+        exact = rational.exact(plant.model, frequency, period, plant.delay, CERTAIN)
         order, zeros = len(plant.model.denominator) - 1, len(plant.model.numerator) - 1
         late = plant.delay > LATE * period
         self.second = rational.fit(exact, 2)

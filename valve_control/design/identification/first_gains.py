@@ -23,7 +23,6 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models, valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
-from valve_control.design.identification import dead_time
 from valve_control.design.identification.characteristic import Characteristic
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
@@ -200,7 +199,7 @@ def dcarc_values(known: KnownValve, share: float = 1.0) -> Values:
     slower: Values = {}
     if share < 1.0:  # the disturbance's estimate is a part of the loop too
         slower["dcarc.disturbance_rate"] = share**2 * number(own, "dcarc.disturbance_rate")
-    behind, before = dead_time.divided(known.delay, known.sensor_delay)
+    behind = min(known.delay, known.sensor_delay)
     return rounded(
         {
             **(_bristles(known.friction) if known.friction is not None else {}),
@@ -209,7 +208,7 @@ def dcarc_values(known: KnownValve, share: float = 1.0) -> Values:
             "dcarc.numerator": list(model.numerator),
             "dcarc.denominator": list(model.denominator),
             "dcarc.delay": behind,
-            "dcarc.actuator_delay": before,
+            "dcarc.actuator_delay": known.delay - behind,
             "dcarc.lvdt_noise": max(known.lvdt.noise, QUIETEST),
             "dcarc.lvdt_resolution": known.lvdt.resolution,
             "dcarc.voltage_weight": number(own, "dcarc.voltage_weight") * gain**2 / share**2,

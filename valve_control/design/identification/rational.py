@@ -137,6 +137,12 @@ class _Form(NamedTuple):
         return self.stable(search.x)
 
 
+def exact(model: TransferFunction, frequency: Floats, period: float, delay: float, unsure: float) -> Response:
+    """The response of a ``model`` at ``frequency`` [Hz], which is ``unsure`` by this part of it."""
+    value = held_response(model, frequency, period, delay)
+    return Response(frequency, value, unsure * np.abs(value), np.ones(len(value)), period, "model", ())
+
+
 def product(logarithms: Floats) -> Floats:
     """The stable denominator whose factors these ``logarithms`` are."""
     below = np.ones(1)
