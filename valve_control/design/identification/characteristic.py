@@ -23,7 +23,7 @@ import scipy.ndimage
 import scipy.optimize
 import scipy.stats
 
-from valve_control.arrays import Floats, Integers
+from valve_control.arrays import Floats
 from valve_control.control.analysis.figures import Line, Plot, draw_columns
 from valve_control.control.laws import linearisation
 from valve_control.design.identification.experiment import BRIDGED, Experiment, held
@@ -51,6 +51,7 @@ SEEN, LEAST_WAY = 3.0, 5e-4  # times the noise and V, beyond which a way behind 
 EXACT = 0.02  # V  beyond which a point of the turn counts less
 BENT, BENT_LEAST = 0.06, 0.03  # share of the friction, and V, rms, by which the turn may differ from the fit
 BEYOND = 1.2  # times the friction, which that of a fit may have
+SAME = 0.1  # of the friction, by which that of the curve may differ where its presliding is to count
 HARDLY = 1.01  # times the least presliding that is looked for, up to which none was seen
 SLOWEST = 5.0  # lags of the valve, that a stroke takes at least between its turn and STEADY
 TOLD_PLAY = 0.05  # V
@@ -66,22 +67,18 @@ class Shares(NamedTuple):
     presliding: float  # V
 
 
-class Stroke(NamedTuple):
-    """One stroke of a triangle."""
-
-    first: int
-    length: int  # samples
-    direction: float  # 1.0 or -1.0
-
-
 class Triangle(NamedTuple):
-    """A slow triangle of the voltage."""
+    """S whole strokes of n samples of a slow triangle; not the first: bristles before it began at rest."""
 
-    voltage: Floats  # V
-    reading: Floats  # V
-    strokes: list[Stroke]  # whole ones of one length; not the first: bristles before it began at rest
+    voltage: Floats  # V  S×n
+    reading: Floats  # V  S×n
     lag: float  # s  of slow motions behind the held voltage
     period: float  # s
+
+    @property
+    def rate(self) -> Floats:
+        """Of the voltage in each stroke [V/s], S."""
+        return (self.voltage[:, -1] - self.voltage[:, 0]) / ((self.voltage.shape[1] - 1) * self.period)
 
 
 class Bounded(NamedTuple):
@@ -132,23 +129,23 @@ def friction_and_curve(tested: Experiment, lag: float) -> tuple[Friction, Charac
     voltage.
     """
     t = _triangle(tested, lag)
-    first, length, _ = t.strokes[0]
-    time = length * t.period
+    time = t.voltage.shape[1] * t.period
     if STEADY[0] * time < SLOWEST * t.lag:
         raise ParameterError(
             f"a stroke of the friction test takes {time:.3g} s; on this valve it must take "
             f"{SLOWEST * t.lag / STEADY[0]:.3g} s or more"
         )
     slope, offset, beyond = _sliding(t)
-    level = max(0.0, beyond - t.lag * abs(t.voltage[first + length] - t.voltage[first]) / time)
-    found = Friction(level, 0.0, 1.0 / slope, -offset, len(t.strokes))
-    needed = slope * t.reading + offset
+    level = max(0.0, beyond - t.lag * abs(float(t.rate[0])))
+    found = Friction(level, 0.0, 1.0 / slope, -offset, len(t.voltage))
+    needed, hidden = slope * t.reading + offset, False  # whether overlap or sides hide the presliding
     try:
         curve = _curve(t)
     except ParameterError:
         curve = None
     if curve is not None and curve.lopsided:  # in the middle of both directions, by the line of its side
         level = max(0.0, 0.5 * curve.hysteresis.value)
+        hidden = abs(found.coulomb - level) >= SAME * level
         gain = 0.5 * (curve.positive.gain.value + curve.negative.gain.value)
         found = found._replace(coulomb=level, static_gain=gain, offset=-curve.null.value)
         up, down = (
@@ -157,7 +154,7 @@ def friction_and_curve(tested: Experiment, lag: float) -> tuple[Friction, Charac
         needed = np.where(t.reading > 0.0, up, down)
     if curve is None or curve.overlap.value >= -TOLD_OVERLAP:  # both sides act in an underlap
         turn = _shares(t, t.voltage - needed, slope, level)
-        found = found._replace(presliding=0.0 if turn is None else turn.presliding)
+        found = found._replace(presliding=0.0 if turn is None or hidden else turn.presliding)
         curve = curve and curve._replace(shares=turn)
     return found, curve
 
@@ -170,47 +167,41 @@ def _triangle(tested: Experiment, lag: float) -> Triangle:
         raise ParameterError("the friction test begins without voltages, or has no readings")
     if float(np.max(np.abs(voltage))) >= tested.u_max:
         raise ParameterError(f"the voltage of the friction test saturates at u_max, {tested.u_max:g} V")
-    reading = np.interp(np.arange(len(voltage)), known, tested.position[known])
-    return Triangle(voltage, reading, _strokes(voltage, known), lag + 0.5 * tested.period, tested.period)
-
-
-def _strokes(voltage: Floats, known: Integers) -> list[Stroke]:
     steps = np.diff(voltage)
     moving = np.flatnonzero(steps != 0.0)
-    directions = np.sign(steps[moving])
-    turns = [0, *(np.flatnonzero(np.diff(directions) != 0.0) + 1), len(moving)]
+    turns = [0, *(np.flatnonzero(np.diff(np.sign(steps[moving])) != 0.0) + 1), len(moving)]
     travel, whole = float(np.ptp(voltage)), []
     for a, b in pairwise(turns if len(moving) else []):
         first, end = int(moving[a]), int(moving[b - 1]) + 1
         readings = np.concatenate([[first], known[(known > first) & (known < end)], [end]])
         if abs(voltage[end] - voltage[first]) > WHOLE * travel and np.max(np.diff(readings)) <= BRIDGED + 1:
-            whole.append(Stroke(first, end - first, float(directions[a])))
-    lengths = [stroke.length for stroke in whole]
+            whole.append((first, end))
+    lengths = [end - first for first, end in whole]
     if len(whole) <= LEAST_STROKES or max(lengths) - min(lengths) > 1.0 + EQUAL * max(lengths):
         raise ParameterError(
             f"the friction test has {len(whole)} whole strokes; its voltage must be a triangle with more "
             f"than {LEAST_STROKES} equal ones"
         )
-    for first, length, _ in whole:
-        line = np.linspace(voltage[first], voltage[first + length], length + 1)
-        bent = float(np.max(np.abs(voltage[first : first + length + 1] - line)))
+    for first, end in whole:
+        line = np.linspace(voltage[first], voltage[end], end - first + 1)
+        bent = float(np.max(np.abs(voltage[first : end + 1] - line)))
         if bent > LEAST_BENT * travel:
             raise ParameterError(
                 f"the voltage of the friction test is up to {bent:.2g} V beside straight lines; it must be a "
                 "triangle"
             )
-    return [stroke._replace(length=min(lengths)) for stroke in whole[1:]]
+    reading = np.interp(np.arange(len(voltage)), known, tested.position[known])
+    at = np.array(whole[1:])[:, :1] + np.arange(min(lengths))
+    return Triangle(voltage[at], reading[at], lag + 0.5 * tested.period, tested.period)
 
 
 def _sliding(t: Triangle) -> tuple[float, float, float]:
     """1/G [V/V], offset [V] and what the direction adds [V], from the steady part of all strokes."""
-    rows, wanted = [], []
-    for first, length, direction in t.strokes:
-        part = slice(first + round(STEADY[0] * length), first + round(STEADY[1] * length))
-        x = t.reading[part]
-        rows.append(np.column_stack([x, np.ones(len(x)), np.full(len(x), direction)]))
-        wanted.append(t.voltage[part])
-    slope, offset, beyond = np.linalg.lstsq(np.concatenate(rows), np.concatenate(wanted), rcond=None)[0]
+    part = slice(*(round(share * t.voltage.shape[1]) for share in STEADY))
+    x = t.reading[:, part]
+    direction = np.broadcast_to(np.sign(t.rate)[:, None], x.shape)
+    rows = np.column_stack([x.ravel(), np.ones(x.size), direction.ravel()])
+    slope, offset, beyond = np.linalg.lstsq(rows, t.voltage[:, part].ravel(), rcond=None)[0]
     if not slope > 0.0:
         raise ParameterError("the spool of the friction test does not follow the voltage")
     return float(slope), float(offset), float(beyond)
@@ -228,10 +219,9 @@ def _shares(t: Triangle, rest: Floats, slope: float, half: float) -> Shares | No
     if half < LEAST_FRICTION:
         return None
     size = max(1, round(WINDOW / t.period))
-    count = t.strokes[0].length // size
-    strokes = [(slice(first, first + count * size), d) for first, _, d in t.strokes]
-    whole = [np.mean([d * one[part] for part, d in strokes], axis=0) for one in (t.reading, rest)]
-    x, w = (one.reshape(count, size).mean(axis=1) for one in whole)
+    count = t.voltage.shape[1] // size
+    risen = [np.mean(np.sign(t.rate)[:, None] * one[:, : count * size], axis=0) for one in (t.reading, rest)]
+    x, w = (one.reshape(count, size).mean(axis=1) for one in risen)
     velocity = scipy.ndimage.uniform_filter1d(np.gradient(x, size * t.period), SMOOTH, mode="nearest")
     w -= slope * t.lag * velocity
     noise = float(np.std(np.diff(x[-count // 4 :], 2))) / math.sqrt(6.0)
@@ -260,7 +250,12 @@ def _shares(t: Triangle, rest: Floats, slope: float, half: float) -> Shares | No
 
 
 def _curve(t: Triangle) -> Characteristic:
-    up, down = ([_static(t, one) for one in t.strokes if one.direction == d] for d in (1.0, -1.0))
+    static = t.voltage - t.rate[:, None] * t.lag  # the voltage that the spool answers
+    orders = np.argsort(static, axis=1, kind="stable")  # rising
+    sorted_u, sorted_x = (np.take_along_axis(one, orders, axis=1) for one in (static, t.reading))
+    up, down = (
+        [*zip(sorted_u[rising], sorted_x[rising], strict=True)] for rising in (t.rate > 0.0, t.rate < 0.0)
+    )
     if min(len(up), len(down)) < 2:
         raise ParameterError("the characteristic curve needs two strokes of the voltage in each direction")
     low = max(float(np.min(u)) for u, _ in up + down)
@@ -286,21 +281,12 @@ def _curve(t: Triangle) -> Characteristic:
         overlap=Bounded(positive.edge.value - negative.edge.value, 2.0 * null.bound),
         null=null,
         hysteresis=_middle(*widths),
-        strokes=len(t.strokes),
+        strokes=len(t.voltage),
     )
 
 
 def _middle(one: Bounded, other: Bounded) -> Bounded:
     return Bounded(0.5 * (one.value + other.value), 0.5 * math.hypot(one.bound, other.bound))
-
-
-def _static(t: Triangle, stroke: Stroke) -> tuple[Floats, Floats]:
-    """Voltage [V] that the spool answers in a stroke, rising, and the reading [V] at each."""
-    first, length, direction = stroke
-    u, x = t.voltage[first : first + length], t.reading[first : first + length]
-    rate = abs(float(u[-1] - u[0])) / (t.period * max(1, length - 1))
-    order = np.argsort(u, kind="stable")
-    return u[order] - direction * rate * t.lag, x[order]
 
 
 def _line(u: Floats, x: Floats, sign: float) -> tuple[float, float]:
