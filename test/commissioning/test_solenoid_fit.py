@@ -63,7 +63,7 @@ def test_voltages_and_readings_without_noise_are_the_valve():
     counted = []
     found = magnet.refined(begin, PERIOD, errors, lambda: counted.append(1))
     assert found == pytest.approx(TRUE, rel=0.03, abs=2e-3)
-    assert len(counted) <= 20 * (2 + magnet.UNKNOWNS)  # it has converged long before its bound
+    assert len(counted) <= 20 * (2 + len(magnet.LOW))  # it has converged long before its bound
 
 
 def test_dcarc_gets_to_know_the_solenoids():

@@ -147,48 +147,29 @@ def first_guess(model: TransferFunction, friction: Friction, offset: float, dela
     )
 
 
-class _Unknown(NamedTuple):
-    """How a number of a valve becomes an unknown of the size of 1, and between which bounds."""
-
-    low: float
-    high: float
-    shift: float  # added to the number, or to its logarithm
-    logarithmic: bool = False
-    unit: float = 1.0  # of the number; A_PERIOD: the sample period
-    relative: bool = False  # whether the bounds are factors of the number that the search begins with
-
-
-A_PERIOD = 0.0
-_UNKNOWNS = {  # in the order of ``Magnet``
-    "speed": _Unknown(0.3, 5.0, 1.0, logarithmic=True, relative=True),
-    "damping": _Unknown(0.05, 4.0, 2.0, logarithmic=True),
-    "coil": _Unknown(FASTEST_COIL, SLOWEST_COIL, 0.0, logarithmic=True, unit=1e-3),
-    "gain": _Unknown(0.3, 3.0, 0.0, relative=True),
-    "sides": _Unknown(-SIDES, SIDES, 1.0),
-    "hysteresis": _Unknown(0.0, WIDEST, 1.0),
-    "overlap": _Unknown(-WIDEST, WIDEST, 1.0),
-    "coulomb": _Unknown(STUCK, 9.0, 1.0),
-    "presliding": _Unknown(SHORTEST, LONGEST, 2.0, logarithmic=True, unit=PRESLIDING),
-    "static_ratio": _Unknown(1.0, MOST_RATIO, 0.0),
-    "offset": _Unknown(-9.0, 9.0, 1.0),
-    "delay": _Unknown(0.0, LONGEST_DELAY, 1.0, unit=A_PERIOD),
-}
-UNKNOWNS = len(_UNKNOWNS)
+# In the order of ``Magnet``: bounds of each number, and what is added to it (or to its logarithm) so that the
+# unknown of a search is of the size of 1. Bounds of RELATIVE are factors of what the search begins with.
+LOW = np.array([0.3, 0.05, FASTEST_COIL, 0.3, -SIDES, 0.0, -WIDEST, STUCK, SHORTEST, 1.0, -9.0, 0.0])
+HIGH = np.array(
+    [5.0, 4.0, SLOWEST_COIL, 3.0, SIDES, WIDEST, WIDEST, 9.0, LONGEST, MOST_RATIO, 9.0, LONGEST_DELAY]
+)
+SHIFT = np.array([1.0, 2.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0, 0.0, 1.0, 1.0])
+UNITS = np.array([1.0, 1.0, 1e-3, 1.0, 1.0, 1.0, 1.0, 1.0, PRESLIDING, 1.0, 1.0])  # of all but the delay
+RELATIVE = np.isin(Magnet._fields, ("speed", "gain"))
+LOGARITHMIC = np.isin(Magnet._fields, ("speed", "damping", "coil", "presliding"))
 
 
-def unknowns(m: Magnet, period: float) -> Floats:
-    """``m`` as unknowns of a search, all of the size of 1."""
-    scaled = [(u, value / (u.unit or period)) for u, value in zip(_UNKNOWNS.values(), m, strict=True)]
-    return np.array([u.shift + (math.log(value) if u.logarithmic else value) for u, value in scaled])
+def unknowns(m: Floats | Magnet, period: float) -> Floats:
+    """``m`` as unknowns of a search, all of the size of 1; its delay is counted in periods."""
+    scaled = np.array(m) / np.append(UNITS, period)
+    return SHIFT + np.where(LOGARITHMIC, np.log(np.where(LOGARITHMIC, scaled, 1.0)), scaled)
 
 
 def of_unknowns(x: Floats, period: float) -> Magnet:
     """The valve of ``unknowns``."""
-    numbers = []
-    for u, value in zip(_UNKNOWNS.values(), x.tolist(), strict=True):
-        moved = value - u.shift
-        numbers.append((u.unit or period) * (math.exp(moved) if u.logarithmic else moved))
-    return Magnet(*numbers)
+    moved = x - SHIFT
+    numbers = np.where(LOGARITHMIC, np.exp(np.where(LOGARITHMIC, moved, 0.0)), moved)
+    return Magnet(*(numbers * np.append(UNITS, period)).tolist())
 
 
 def refined(
@@ -201,9 +182,8 @@ def refined(
 
     ``tell`` is called before each simulation.
     """
-    about = [(u, value if u.relative else 1.0) for u, value in zip(_UNKNOWNS.values(), begin, strict=True)]
-    low = unknowns(Magnet(*(u.low * factor for u, factor in about)), period)
-    high = unknowns(Magnet(*(u.high * factor for u, factor in about)), period)
+    factors = np.where(RELATIVE, np.array(begin), 1.0)
+    low, high = (unknowns(bound * factors, period) for bound in (LOW, HIGH))
     inside = np.clip(unknowns(begin, period), low + INSIDE * (high - low), high - INSIDE * (high - low))
 
     def residual(x: Floats) -> Floats:
