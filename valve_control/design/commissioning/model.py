@@ -3,6 +3,7 @@
 """Derives the controller's model and estimates from the fitted valve, and the box of valves to tune for."""
 
 import math
+from itertools import islice
 
 import numpy as np
 
@@ -162,15 +163,10 @@ def motions(plant: Plant, known: Known, limits: SafetyLimits, period: float) -> 
         rate = np.gradient(wanted, period)
         return float(np.max(np.abs(np.gradient(rate, period) + a1 * rate + a0 * wanted))) / b0
 
-    strokes = next(
-        (m for v in np.geomspace(20.0, 0.1, 40) if need(m := _strokes(height, float(v), period)) <= left),
-        None,
-    )
-    small = SINE * height
-    sine = next(
-        (m for f in np.geomspace(20.0, 0.5, 40) if need(m := _sine(small, float(f), period)) <= left), None
-    )
-    possible = [TuningMotion(name, m) for name, m in (("strokes", strokes), ("sine", sine)) if m is not None]
+    possible = list[TuningMotion]()
+    for name, shape, size, slowest in (("strokes", _strokes, height, 0.1), ("sine", _sine, SINE * height, 0.5)):
+        tried = (shape(size, float(quick), period) for quick in np.geomspace(20.0, slowest, 40))
+        possible += islice((TuningMotion(name, wanted) for wanted in tried if need(wanted) <= left), 1)
     if not possible:
         raise ParameterError("no motion can be found that the valve follows within the limit of the voltage")
     return possible

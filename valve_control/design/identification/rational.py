@@ -222,9 +222,8 @@ def _corner_bounds(form: _Form, x: Floats, spread: Floats) -> Corners:
     def at(x: Floats) -> Floats:
         return np.array(model_corners(*form.model(x)), dtype=np.float64)  # None is NaN
 
-    steps = np.diag(1e-4 * np.maximum(np.abs(x), 0.01))
-    slopes = np.array([(at(x + step) - at(x)) / np.sum(step) for step in steps])
-    bounds = np.linalg.norm(slopes.T @ spread, axis=1)
+    slopes = scipy.optimize.approx_fprime(x, at, 1e-4 * np.maximum(np.abs(x), 0.01))
+    bounds = np.linalg.norm(slopes @ spread, axis=1)
     return Corners(*(float(bound) if np.isfinite(bound) else None for bound in bounds))
 
 
