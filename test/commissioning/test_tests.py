@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the tests of a valve tell, on simulated valves whose numbers are known."""
 
-import cmath
 import math
 
 import numpy as np
@@ -16,7 +15,6 @@ from valve_control.control.simulation import offline
 from valve_control.design.commissioning import evaluation, plant
 from valve_control.design.commissioning.bench import Record, SafetyLimits
 from valve_control.design.commissioning.magnet import Magnet
-from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError, defaults, updated
 
 LIMITS = SafetyLimits(4.0, 2.0)
@@ -73,32 +71,6 @@ def test_simulated_under_the_same_voltages_the_fitted_valve_is_the_true_one(test
     assert found.delay == pytest.approx(0.0015, abs=1e-4)
     assert found.friction.coulomb == pytest.approx(0.5, abs=0.01)
     assert found.offset == pytest.approx(0.3, abs=0.005)
-
-
-def test_friction_as_a_square_wave_is_taken_out_exactly():
-    """A response distorted by the describing function; with it taken out the linear one is back."""
-    frequency = np.geomspace(1.0, 50.0, 12)
-    true = 0.9 / (1.0 + 1j * frequency / 8.0) ** 2
-    amplitude, level = 3.0, 4.0 * 1.1 / math.pi
-    seen = []
-    for value in true:
-        # Y = G·(U - level·j·Y/|Y|): the amplitude of Y makes U real.
-        turn = cmath.phase(value)
-
-        def driven(phase, value=value):
-            return value * (amplitude - level * 1j * cmath.exp(1j * phase))
-
-        low, high = turn - math.pi / 2.0, turn + math.pi / 2.0
-        for _ in range(80):
-            middle = 0.5 * (low + high)
-            if (cmath.phase(driven(middle)) - middle + math.pi) % (2.0 * math.pi) > math.pi:
-                low = middle
-            else:
-                high = middle
-        seen.append(driven(middle) / amplitude)
-    measured = Response(frequency, np.array(seen), np.full(12, 1e-6), np.ones(12), 0.001, "stepped sine", ())
-    found = evaluation._without(measured, np.full(12, amplitude), 1.1)
-    assert np.allclose(found.value, true, rtol=1e-9)
 
 
 def record(voltage, reading):
