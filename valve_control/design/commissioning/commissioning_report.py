@@ -130,8 +130,8 @@ def _response(found: Result) -> str:
         plots.append(Plot(title, [Line("measured", measured.frequency, read(measured.value)), model]))
     plots.append(Plot("coherence", [Line("measured", measured.frequency, measured.coherence)]))
     return (
-        "<p>Measured: the first harmonic, friction taken out as a square wave; near 0 Hz the spool sticks at "
-        "each turn, which the model knows and this response does not.</p>"
+        "<p>Measured: the first harmonic, without the voltage that Coulomb friction takes; near 0 Hz the "
+        "spool sticks at each turn, which the model knows and this response does not.</p>"
         + pages.figure(plots, "frequency [Hz]", logarithmic_x=True)
     )
 

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy.optimize
+import scipy.signal
 
 from valve_control.arrays import Floats
 from valve_control.control.parameters import build
@@ -294,15 +295,12 @@ def _standing(reading: Floats, period: float) -> float | None:
 def _alike(rest: Floats, period: float) -> float:
     """Samples of residual that tell as much as one: they are alike over a while, as a model's errors are."""
     centred = rest - np.mean(rest)
-    size = 1 << (2 * len(centred) - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
-    correlation = np.fft.irfft(spectrum, size)[: max(2, round(LAGS / period))]
+    correlation = scipy.signal.correlate(centred, centred, method="fft")[len(centred) - 1 :]
+    correlation = correlation[: max(2, round(LAGS / period))]
     if correlation[0] <= 0.0:
         return 1.0
-    correlation = correlation / correlation[0]
-    ends = np.flatnonzero(correlation < 0.05)
-    end = int(ends[0]) if len(ends) else len(correlation)
-    return float(1.0 + 2.0 * np.sum(correlation[1:end]))
+    end = int(np.argmax(np.append(correlation, 0.0) < 0.05 * correlation[0]))
+    return float(1.0 + 2.0 * np.sum(correlation[1:end]) / correlation[0])
 
 
 def motion(command: Floats, period: float, limit: float, longest: float = 8.0) -> Floats:
