@@ -35,10 +35,18 @@ TRUE = Magnet(
 LIMITS = SafetyLimits(4.0, 2.0)
 
 
+def plant_of(found):
+    friction = Friction(found.coulomb, found.static_ratio)
+    return plant.Plant(found.model, friction, found.offset, found.delay, 1.0, found.presliding, found)
+
+
+def simulated(found):
+    return plant.params(plant_of(found), PERIOD)
+
+
 def known(found=TRUE, law="dcarc", sensor_delay=0.0):
     """What commissioning makes of a valve ``found``."""
-    friction = Friction(found.coulomb, found.static_ratio)
-    made = plant.Plant(found.model, friction, found.offset, found.delay, 1.0, found.presliding, found)
+    made = plant_of(found)
     return made, model.Known(made, REST, PERIOD, 10.0, law, sensor_delay)
 
 
@@ -51,10 +59,10 @@ def test_voltages_and_readings_without_noise_are_the_valve():
             3.0 * np.sin(2.0 * np.pi * np.cumsum(np.geomspace(1.0, 60.0, 3000)) * PERIOD),
         ]
     )
-    wanted = plant.positions(magnet.solenoid_params(TRUE, PERIOD), voltage)
+    wanted = plant.positions(simulated(TRUE), voltage)
 
     def errors(valve):
-        return 100.0 * (plant.positions(magnet.solenoid_params(valve, PERIOD), voltage) - wanted)
+        return 100.0 * (plant.positions(simulated(valve), voltage) - wanted)
 
     begin = TRUE._replace(
         speed=70.0, damping=0.7, coil=0.0025, gain=0.95, sides=0.0, hysteresis=0.1, overlap=0.0, coulomb=0.6,
@@ -88,9 +96,7 @@ def test_the_simulated_valve_is_the_one_that_was_found():
     assert values["lvdt.delay"] == 0.0002 and values["solenoid.dead_time"] == 0.001
     own = build.valve_params({**values, "lvdt.resolution": 0.0})
     voltage = 3.0 * np.sin(np.arange(2000) * 0.02)
-    there = magnet.solenoid_params(TRUE, PERIOD)
-    readings = plant.positions(own, voltage)
-    assert readings == pytest.approx(plant.positions(there, voltage), abs=5e-3)
+    assert plant.positions(own, voltage) == pytest.approx(plant.positions(simulated(TRUE), voltage), abs=5e-3)
 
 
 @pytest.mark.parametrize(("name", "form"), [("A", "plain"), ("B", "reference")])
@@ -117,7 +123,7 @@ def test_the_pid_of_internal_model_control_keeps_the_margins_on_a_box_of_valves(
 def test_the_reciprocal_is_the_power_series_of_the_valve(speed, damping, lag, gain):
     """Of (τs + 1)(s²/ω² + 2ζs/ω + 1)/K, with half a period of the hold."""
     made = TRUE._replace(speed=speed, damping=damping, coil=lag, gain=gain, sides=0.0, overlap=0.0, delay=0.0)
-    box = margins.prepared([magnet.solenoid_params(made, PERIOD)])
+    box = margins.prepared([simulated(made)])
     found = designs.reciprocal(box, 0.05)
     late, rubs = lag + 0.5 * PERIOD, 2.0 * damping / speed
     assert found.c0 == pytest.approx(1.0 / gain, rel=1e-3)

@@ -14,13 +14,11 @@ import numpy as np
 import scipy.optimize
 
 from valve_control.arrays import Floats
-from valve_control.control.plant import solenoid
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant.models import TransferFunction
-from valve_control.control.plant.sensor import IDEAL
-from valve_control.control.plant.solenoid_valve import transfer
 from valve_control.design.commissioning.evaluation import Friction
-from valve_control.design.identification.characteristic import TOLD_OVERLAP
-from valve_control.parameter import Values
+from valve_control.parameter import Values, defaults
 
 STRIBECK = 0.03  # V/s  which the tests do not show
 PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.15  # V  first guess and bounds
@@ -68,37 +66,14 @@ class Magnet(NamedTuple):
     @property
     def model(self) -> TransferFunction:
         """From voltage to position, for small motions."""
-        valve = solenoid_params(self, 0.001)
-        return transfer(valve.magnet, valve.spool)
-
-
-def solenoid_params(m: Magnet, period: float) -> solenoid.Params:
-    """``m`` as a simulated valve without noise, and without limits."""
-    without_end = 1e6
-    return solenoid.design(
-        solenoid.Amplifier(-without_end, m.delay / period, 0.0, 0.0),
-        solenoid.Magnet(m.coil, 0.0, m.hysteresis, m.positive, m.negative, m.overlap, 0.0),
-        solenoid.Spool(m.speed, m.damping, m.gain, 0.0, m.offset, 0.0, -without_end, without_end),
-        solenoid.Friction(
-            m.coulomb,
-            (m.static_ratio - 1.0) * m.coulomb,
-            STRIBECK,
-            m.coulomb / m.presliding,
-            0.0,
-        ),
-        solenoid.Sensor(IDEAL, -without_end, without_end, 0.0, 0.0, 0.0, 1.0),
-        without_end,
-        period,
-    )
+        return build.valve_model({**defaults(VALVE), **values(self, 0.0)})
 
 
 def values(m: Magnet, sensor_delay: float) -> Values:
     """``m`` as parameters of the simulated valve.
 
-    ``sensor_delay`` [s]: what of the dead time is the LVDT's. An overlap of less than TOLD_OVERLAP is none: a
-    fit is not so exact, and with an underlap, be it ever so small, the valve has twice the gain at 0 V.
+    ``sensor_delay`` [s]: what of the dead time is the LVDT's.
     """
-    overlap = m.overlap if abs(m.overlap) >= TOLD_OVERLAP else 0.0
     behind = min(m.delay, sensor_delay)
     parameters = {
         "solenoid.natural_frequency": m.speed / (2.0 * math.pi),
@@ -108,7 +83,7 @@ def values(m: Magnet, sensor_delay: float) -> Values:
         "solenoid.positive": m.positive,
         "solenoid.negative": m.negative,
         "solenoid.hysteresis": m.hysteresis,
-        "solenoid.overlap": overlap,
+        "solenoid.overlap": m.overlap,
         "solenoid.dead_time": m.delay - behind,
         "lvdt.delay": behind,
         "friction.coulomb": m.coulomb,
