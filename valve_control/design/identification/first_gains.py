@@ -130,14 +130,10 @@ def _safe(law: str, known: KnownValve, corners: list[valve.Params]) -> Values:
 
 def _corners(known: KnownValve) -> Iterator[valve.Params]:
     """The identified valve, and the corners of the box around it."""
-    surplus = len(known.model.denominator) - len(known.model.numerator)
     for gain, speed, later in [(1.0, 1.0, 0.0), *product(GAINS, SPEEDS, LATER)]:
-        denominator = tuple(c * speed**i for i, c in enumerate(known.model.denominator))
-        numerator = tuple(c * speed ** (i + surplus) for i, c in enumerate(known.model.numerator))
+        model = models.faster(known.model, gain, speed)
         lvdt = IDEAL._replace(delay=known.delay / known.period + later)
-        yield valve.design(
-            TransferFunction(numerator, denominator), known.period, known.u_max, gain, valve.FREE, lvdt
-        )
+        yield valve.design(model, known.period, known.u_max, 1.0, valve.FREE, lvdt)
 
 
 def _pid(known: KnownValve, share: float) -> Values:
