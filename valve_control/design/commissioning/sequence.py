@@ -199,12 +199,11 @@ class Commissioning:
         way = spread(np.concatenate([tests.slow.latency, tests.sine.latency]))
         notes = [
             *tests.response.notes,
-            *_about_plant(tests.plant),
             *known.notes,
             *refusals,
             *dead_time.way_notes(way),
             *gains.about_late(verified.record),
-            *_about_the_end(self._plan, chosen.tuned, tests.rest, verified.ended, self._pauses),
+            *_notes(self._plan, tests, chosen.tuned, verified.ended, self._pauses),
         ]
         return Result(
             plan=self._plan,
@@ -548,8 +547,11 @@ class Commissioning:
             self._seconds[name] = self._seconds.get(name, 0.0) + time.monotonic() - began
 
 
-def _about_plant(fitted: Plant) -> Iterator[str]:
-    """Sentences about readings that the model does not describe, and about one that is not linear."""
+def _notes(
+    plan: Plan, tests: Tests, tuned: Tuned, ended: str, pauses: Mapping[str, int]
+) -> Iterator[str]:
+    """Sentences on the model, on parameters from before that misbehaved, on pauses, and on a c_u too high."""
+    fitted = tests.plant
     if fitted.error > plant.EXPLAINED:
         yield (
             f"the model misses the readings by {fitted.error:.2g} times what noise and "
@@ -568,12 +570,6 @@ def _about_plant(fitted: Plant) -> Iterator[str]:
             "a linear valve whose friction has bristles describes the readings, and none without them: "
             f"presliding {1e3 * fitted.presliding:.2g} mV; such a spool may swing on its bristles"
         )
-
-
-def _about_the_end(
-    plan: Plan, tuned: Tuned, rest: Rest, ended: str, pauses: Mapping[str, int]
-) -> Iterator[str]:
-    """Sentences on parameters from before that misbehaved, on pauses, and on a c_u that had to give way."""
     if ended:
         yield f"with the parameters from before the same motion was ended ({ended}): they are no rival"
     if pauses:
@@ -582,7 +578,7 @@ def _about_the_end(
     if tuned.chatter is not None and tuned.chatter > plan.chatter:
         least = min(point.chatter for point in tuned.front)
         yield (
-            f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * rest.noise:.2g} mV of "
+            f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * tests.rest.noise:.2g} mV of "
             f"noise (least of {tuned.tried} sets: {least:.3g}); those of least error up to "
             f"{tuned.chatter:.3g} are taken; --max-chatter sets a limit that is kept in any case"
         )
