@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""From voltages and readings to models: what goes in must come out."""
+"""From voltages and readings to models: what goes in must come out, and nothing is invented."""
+
+import math
 
 import numpy as np
 import pytest
@@ -270,3 +272,40 @@ def test_a_recording_may_begin_without_a_voltage():
     assert np.array_equal(found.value, wanted.value)
     true = scipy.signal.freqz([0.0, 0.1], [1.0, -0.9], found.frequency, fs=1000.0)[1]
     assert found.value == pytest.approx(true, rel=0.01)
+
+
+def with_coil(hertz, damping, lag, gain=0.85):
+    omega = 2.0 * math.pi * hertz
+    denominator = np.polymul([1.0, 2.0 * damping * omega, omega**2], [1.0, 1.0 / lag])
+    return TransferFunction((gain * omega**2 / lag,), tuple(map(float, denominator)))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0005, 0.001])
+@pytest.mark.parametrize(("hertz", "damping", "lag"), [(9.0, 0.8, 0.004), (7.0, 0.8, 0.003)])
+def test_a_coil_is_a_pole_and_not_dead_time(hertz, damping, lag, delay):
+    best = rational.choose(made(with_coil(hertz, damping, lag), delay=delay))
+    assert (best.order, len(best.model.numerator)) == (3, 1)
+    assert ("delay" in best.names) == (delay > 0.0)
+    assert abs(best.delay - delay) < 1e-5
+    fast = max(bode.roots(best.model.denominator), key=lambda root: root.frequency)
+    assert 2.0 * math.pi * fast.frequency * lag == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("model", "delay", "form"),
+    [
+        (SECOND_ORDER, 0.0, (2, 0, False)),
+        (SECOND_ORDER, 0.001, (2, 0, True)),
+        (FOURTH_ORDER, 0.0, (4, 2, False)),
+        (FOURTH_ORDER, 0.006, (4, 2, True)),
+    ],
+)
+def test_the_models_of_the_paper_keep_their_structure(model, delay, form):
+    best = rational.choose(made(model, delay=delay))
+    assert (best.order, len(best.model.numerator) - 1, "delay" in best.names) == form
+    assert np.allclose(best.values[: len(best.values) - form[2]][-1], model.denominator[-1], rtol=0.02)
+
+
+def test_noise_that_explains_the_second_order_ends_the_search():
+    measured = made(SECOND_ORDER, deviation=1e-3)
+    assert rational.choose(measured).names == ("b0", "a1", "a0")
