@@ -54,9 +54,7 @@ def test_every_law_settles_on_valves_around_it(model, delay, noise=0.001):
     for _ in range(24):
         gain, speed = random.uniform(0.8, 1.25, 2)
         late = IDEAL._replace(delay=delay / PERIOD + random.uniform(0.0, 1.0))
-        plants.append(
-            valve.design(models.faster(model, gain, speed), PERIOD, U_MAX, 1.0, valve.FREE, late)
-        )
+        plants.append(valve.design(models.faster(model, gain, speed), PERIOD, U_MAX, 1.0, valve.FREE, late))
     command = np.full(6000, STEP)
     values = updated(CONTROLLER, defaults(CONTROLLER), made.values)
     for name in ("pid", "arc", "oarc", "dcarc"):

@@ -164,8 +164,8 @@ def motions(plant: Plant, known: Known, limits: SafetyLimits, period: float) -> 
         return float(np.max(np.abs(np.gradient(rate, period) + a1 * rate + a0 * wanted))) / b0
 
     possible = list[TuningMotion]()
-    for name, shape, size, slowest in (("strokes", _strokes, height, 0.1), ("sine", _sine, SINE * height, 0.5)):
-        tried = (shape(size, float(quick), period) for quick in np.geomspace(20.0, slowest, 40))
+    for name, shape, size, slowest in (("strokes", _strokes, 1.0, 0.1), ("sine", _sine, SINE, 0.5)):
+        tried = (shape(size * height, float(quick), period) for quick in np.geomspace(20.0, slowest, 40))
         possible += islice((TuningMotion(name, wanted) for wanted in tried if need(wanted) <= left), 1)
     if not possible:
         raise ParameterError("no motion can be found that the valve follows within the limit of the voltage")

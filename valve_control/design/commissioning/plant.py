@@ -313,7 +313,7 @@ def _with_solenoids(
     m = nearest.magnet
     assert m is not None
     if abs(m.overlap) < TOLD_OVERLAP:
-        # A fit is not so exact, and with an underlap, be it ever so small, the valve has twice the gain at 0 V.
+        # A fit is not so exact, and with an underlap, however small, the valve has twice the gain at 0 V.
         nearest = tests.judged(plant(m := m._replace(overlap=0.0)))
     if nearest.error >= SIMPLER * linear.error:
         return linear

@@ -547,9 +547,7 @@ class Commissioning:
             self._seconds[name] = self._seconds.get(name, 0.0) + time.monotonic() - began
 
 
-def _notes(
-    plan: Plan, tests: Tests, tuned: Tuned, ended: str, pauses: Mapping[str, int]
-) -> Iterator[str]:
+def _notes(plan: Plan, tests: Tests, tuned: Tuned, ended: str, pauses: Mapping[str, int]) -> Iterator[str]:
     """Sentences on the model, on parameters from before that misbehaved, on pauses, and on a c_u too high."""
     fitted = tests.plant
     if fitted.error > plant.EXPLAINED:
@@ -578,8 +576,8 @@ def _notes(
     if tuned.chatter is not None and tuned.chatter > plan.chatter:
         least = min(point.chatter for point in tuned.front)
         yield (
-            f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * tests.rest.noise:.2g} mV of "
-            f"noise (least of {tuned.tried} sets: {least:.3g}); those of least error up to "
+            f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * tests.rest.noise:.2g} mV "
+            f"of noise (least of {tuned.tried} sets: {least:.3g}); those of least error up to "
             f"{tuned.chatter:.3g} are taken; --max-chatter sets a limit that is kept in any case"
         )
 
