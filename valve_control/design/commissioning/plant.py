@@ -231,7 +231,8 @@ class _Form(NamedTuple):
     def begin(self, fit: Fit, friction: Friction, offset: float) -> Floats:
         """Unknowns of a search that begins at ``fit``, within their bounds and not upon them."""
         roots, static = np.roots(fit.model.denominator), fit.model.denominator[-1]
-        slowed = np.poly(np.minimum(1.0, FIRST_POLE * _fastest(self.period) / np.abs(roots)) * roots).real
+        factor = np.minimum(1.0, FIRST_POLE * _fastest(self.period) / np.abs(roots))
+        slowed = np.asarray(np.poly(factor * roots).real, dtype=np.float64)
         scale = float(slowed[-1]) ** (1.0 / fit.order)
         ascending = [c * scale**i / static for i, c in enumerate(reversed(fit.model.numerator))]
         least, most = self.coefficients()
