@@ -20,10 +20,10 @@ from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
-from valve_control.design.commissioning import gains, magnet, model, plant, sequence
+from valve_control.design.commissioning import gains, model, plant, sequence
 from valve_control.design.commissioning.bench import Fault, Plan, SafetyLimits
 from valve_control.design.commissioning.evaluation import Friction, Rest
-from valve_control.design.commissioning.magnet import Magnet
+from valve_control.design.commissioning.plant import Magnet
 from valve_control.design.identification import first_gains
 from valve_control.design.tuning import designs, limits, trial
 from valve_control.parameter import defaults, updated
@@ -71,9 +71,9 @@ def test_voltages_and_readings_without_noise_are_the_valve():
         presliding=0.03, static_ratio=1.1, offset=0.0, delay=0.0005,
     )  # fmt: skip
     counted = []
-    found = magnet.refined(begin, PERIOD, errors, lambda: counted.append(1))
+    found = plant.refined(begin, PERIOD, errors, lambda: counted.append(1))
     assert found == pytest.approx(TRUE, rel=0.03, abs=2e-3)
-    assert len(counted) <= 20 * (2 + len(magnet.LOW))  # it has converged long before its bound
+    assert len(counted) <= 20 * (2 + len(plant.LOW))  # it has converged long before its bound
 
 
 def test_dcarc_gets_to_know_the_solenoids():

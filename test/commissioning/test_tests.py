@@ -14,7 +14,7 @@ from valve_control.control.plant.models import TransferFunction
 from valve_control.control.simulation import offline
 from valve_control.design.commissioning import evaluation, plant
 from valve_control.design.commissioning.bench import Record, SafetyLimits
-from valve_control.design.commissioning.magnet import Magnet
+from valve_control.design.commissioning.plant import Magnet
 from valve_control.parameter import ParameterError, defaults, updated
 
 LIMITS = SafetyLimits(4.0, 2.0)

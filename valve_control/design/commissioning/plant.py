@@ -3,7 +3,8 @@
 """Fits the valve with its friction to the tests: the simulated valve gets the same voltages (output error).
 
 The response without friction is where the search begins. At low frequencies the spool sticks at each turn,
-which no response shows; simulated, it does the same.
+which no response shows; simulated, it does the same. A valve with solenoids has coil, hysteresis, two gains,
+overlap and LuGre friction (docs/explanation/valve_model.md).
 """
 
 import math
@@ -21,10 +22,8 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import registry
 from valve_control.control.plant.models import TransferFunction
-from valve_control.design.commissioning import magnet
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.evaluation import Friction, Rest
-from valve_control.design.commissioning.magnet import Magnet
 from valve_control.design.identification import rational
 from valve_control.design.identification.characteristic import TOLD_OVERLAP
 from valve_control.design.identification.rational import Fit
@@ -49,7 +48,54 @@ AWAY = 0.1  # of the logarithms of coefficients, from their bounds, where a sear
 # end at 100 Hz or below, and at a fifth of the sampling frequency.
 SLOWEST_POLE = 0.01  # rad/s
 FASTEST_POLE, FASTEST_SPEED = 10.0, 6000.0  # radians a sample and rad/s, the smaller of which bounds it
+# Of a valve with solenoids
+STRIBECK = 0.03  # V/s  which the tests do not show
+PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.15  # V  first guess and bounds
+WIDTH = 0.3  # of the friction, full width of the hysteresis with which a search begins
+FASTEST_COIL, SLOWEST_COIL = 3e-4, 0.03  # s
+AT_BOUND = 1.1  # times the fastest coil, up to which there is none
+COIL = 0.2  # of the spool's time constant, where a response shows no third pole
+STUCK = 1e-3  # V  least friction
+MOST_RATIO = 2.0  # -  static over Coulomb friction
+WIDEST = 2.0  # V  hysteresis and overlap
+LONGEST_DELAY = 0.005  # s
+SIDES = 0.5  # logarithm of the ratio of both gains
+MOST_EVALUATIONS = 80  # of a search with solenoids, each with a Jacobian
+CONVERGED = 1e-3  # relative change of the cost in one evaluation, below which a search ends
+INSIDE = 1e-3  # of the bounds, within which a search begins
 NO_STOPS: Values = {"solenoid.stop_low": -1000.0, "solenoid.stop_high": 1000.0}  # V  the tests show none
+
+
+class Magnet(NamedTuple):
+    """A valve with two solenoids."""
+
+    speed: float  # rad/s  natural frequency of the spool
+    damping: float  # -
+    coil: float  # s
+    gain: float  # V/V  mean of both sides
+    sides: float  # -  logarithm of the ratio of the positive gain to the negative
+    hysteresis: float  # V  full width
+    overlap: float  # V
+    coulomb: float  # V
+    presliding: float  # V
+    static_ratio: float  # -
+    offset: float  # V
+    delay: float  # s
+
+    @property
+    def positive(self) -> float:
+        """Factor of the gain of the positive side; that of the other one makes their mean 1."""
+        return 2.0 / (1.0 + math.exp(-self.sides))
+
+    @property
+    def negative(self) -> float:
+        """Factor of the gain of the negative side."""
+        return 2.0 - self.positive
+
+    @property
+    def model(self) -> TransferFunction:
+        """From voltage to position, for small motions."""
+        return build.valve_model({**defaults(VALVE), **solenoid_values(self, 0.0)})
 
 
 class Plant(NamedTuple):
@@ -78,7 +124,7 @@ def values(fitted: Plant, rest: Rest, period: float, u_max: float, sensor_delay:
         "flow_force": 0.0,
     }
     if fitted.magnet is not None:
-        of_valve = magnet.values(fitted.magnet, sensor_delay)
+        of_valve = solenoid_values(fitted.magnet, sensor_delay)
         return {**of_valve, **common, **NO_STOPS, "solenoid.u_min": -u_max}
     numerator, denominator = ([float(f"{c:.10g}") for c in part] for part in fitted.model)
     return {
@@ -92,6 +138,32 @@ def values(fitted: Plant, rest: Rest, period: float, u_max: float, sensor_delay:
         "disturbance.offset": max(-10.0, min(10.0, float(f"{fitted.offset:.6g}"))),
         "lvdt.delay": float(f"{fitted.delay:.6g}"),
     }
+
+
+def solenoid_values(m: Magnet, sensor_delay: float) -> Values:
+    """``m`` as parameters of the simulated valve.
+
+    ``sensor_delay`` [s]: what of the dead time is the LVDT's.
+    """
+    behind = min(m.delay, sensor_delay)
+    parameters = {
+        "solenoid.natural_frequency": m.speed / (2.0 * math.pi),
+        "solenoid.damping": m.damping,
+        "solenoid.coil": m.coil,
+        "solenoid.gain": m.gain,
+        "solenoid.positive": m.positive,
+        "solenoid.negative": m.negative,
+        "solenoid.hysteresis": m.hysteresis,
+        "solenoid.overlap": m.overlap,
+        "solenoid.dead_time": m.delay - behind,
+        "lvdt.delay": behind,
+        "friction.coulomb": m.coulomb,
+        "friction.static_ratio": m.static_ratio,
+        "friction.stribeck_velocity": STRIBECK,
+        "friction.presliding": m.presliding,
+        "disturbance.offset": max(-10.0, min(10.0, m.offset)),
+    }
+    return {"valve": "solenoid", **{name: float(f"{value:.6g}") for name, value in parameters.items()}}
 
 
 def fitted(
@@ -283,6 +355,83 @@ def _near(tests: _Tests, fit: Fit, friction: Friction, offset: float) -> Plant:
     return tests.judged(form.plant(done.x))
 
 
+def first_guess(model: TransferFunction, friction: Friction, offset: float, delay: float) -> Magnet:
+    """Where a search begins: a fitted ``model``, its ``delay`` [s] and ``offset`` [V] as a disturbance.
+
+    The spool is the pair of poles; of three real ones the slower two.
+    """
+    poles = sorted(np.roots(model.denominator), key=lambda pole: (abs(pole), pole.imag))
+    slow = [pole for pole in poles if pole.imag != 0.0][:2] or poles[:2]
+    speed = math.sqrt(abs(slow[0] * slow[1]))
+    damping = float(-np.real(slow[0] + slow[1])) / (2.0 * speed)
+    others = [pole.real for pole in poles if pole not in slow and pole.imag == 0.0]
+    coulomb = max(STUCK, friction.coulomb)
+    return Magnet(
+        speed=speed,
+        damping=min(3.0, max(0.1, damping)),
+        coil=-1.0 / others[0] if others and others[0] < 0.0 else COIL / speed,
+        gain=model.static_gain,
+        sides=0.0,
+        hysteresis=WIDTH * coulomb,
+        overlap=0.0,
+        coulomb=(1.0 - 0.5 * WIDTH) * coulomb,
+        presliding=PRESLIDING,
+        static_ratio=min(MOST_RATIO, friction.static_ratio),
+        offset=offset,
+        delay=delay,
+    )
+
+
+# In the order of ``Magnet``: bounds of each number, and what is added to it (or to its logarithm) so that the
+# unknown of a search is of the size of 1. Bounds of RELATIVE are factors of what the search begins with.
+LOW = np.array([0.3, 0.05, FASTEST_COIL, 0.3, -SIDES, 0.0, -WIDEST, STUCK, SHORTEST, 1.0, -9.0, 0.0])
+HIGH = np.array(
+    [5.0, 4.0, SLOWEST_COIL, 3.0, SIDES, WIDEST, WIDEST, 9.0, LONGEST, MOST_RATIO, 9.0, LONGEST_DELAY]
+)
+SHIFT = np.array([1.0, 2.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0, 0.0, 1.0, 1.0])
+UNITS = np.array([1.0, 1.0, 1e-3, 1.0, 1.0, 1.0, 1.0, 1.0, PRESLIDING, 1.0, 1.0])  # of all but the delay
+RELATIVE = np.isin(Magnet._fields, ("speed", "gain"))
+LOGARITHMIC = np.isin(Magnet._fields, ("speed", "damping", "coil", "presliding"))
+
+
+def unknowns(m: Floats | Magnet, period: float) -> Floats:
+    """``m`` as unknowns of a search, all of the size of 1; its delay is counted in periods."""
+    scaled = np.array(m) / np.append(UNITS, period)
+    return SHIFT + np.where(LOGARITHMIC, np.log(np.where(LOGARITHMIC, scaled, 1.0)), scaled)
+
+
+def of_unknowns(x: Floats, period: float) -> Magnet:
+    """The valve of ``unknowns``."""
+    moved = x - SHIFT
+    numbers = np.where(LOGARITHMIC, np.exp(np.where(LOGARITHMIC, moved, 0.0)), moved)
+    return Magnet(*(numbers * np.append(UNITS, period)).tolist())
+
+
+def refined(
+    begin: Magnet,
+    period: float,
+    errors: Callable[[Magnet], Floats],
+    tell: Callable[[], None] = lambda: None,
+) -> Magnet:
+    """The valve near ``begin`` whose ``errors``, over what is allowed, are least.
+
+    ``tell`` is called before each simulation.
+    """
+    factors = np.where(RELATIVE, np.array(begin), 1.0)
+    low, high = (unknowns(bound * factors, period) for bound in (LOW, HIGH))
+    inside = np.clip(unknowns(begin, period), low + INSIDE * (high - low), high - INSIDE * (high - low))
+
+    def residual(x: Floats) -> Floats:
+        tell()
+        return errors(of_unknowns(x, period))
+
+    done = scipy.optimize.least_squares(
+        residual, inside, bounds=(low, high), diff_step=STEP, x_scale="jac", loss="soft_l1",
+        max_nfev=MOST_EVALUATIONS, ftol=CONVERGED,
+    )  # fmt: skip
+    return of_unknowns(done.x, period)
+
+
 def _with_solenoids(
     tests: _Tests, fits: Sequence[Fit], linear: Plant, friction: Friction, offset: float
 ) -> Plant:
@@ -302,10 +451,10 @@ def _with_solenoids(
         return Plant(m.model, level, m.offset, m.delay, math.inf, m.presliding, m)
 
     def searched(own: _Tests, m: Magnet) -> Plant:
-        found = magnet.refined(m, own.period, lambda m: own.errors(plant(m)), own.tell)
+        found = refined(m, own.period, lambda m: own.errors(plant(m)), own.tell)
         return tests.judged(plant(found))
 
-    guess = magnet.first_guess(begin.model, friction, -offset, begin.delay)
+    guess = first_guess(begin.model, friction, -offset, begin.delay)
     nearest = searched(tests, guess)
     if nearest.error > SUSPECT:  # than a search over all tests the last one alone leads nearer to the valve
         alone = searched(tests._replace(records=tests.records[-1:], weights=tests.weights[-1:]), guess)
@@ -318,7 +467,7 @@ def _with_solenoids(
         nearest = tests.judged(plant(m := m._replace(overlap=0.0)))
     if nearest.error >= SIMPLER * linear.error:
         return linear
-    if m.coil > magnet.AT_BOUND * magnet.FASTEST_COIL:
+    if m.coil > AT_BOUND * FASTEST_COIL:
         return nearest
     squared = m.speed**2
     model = TransferFunction((m.gain * squared,), (1.0, 2.0 * m.damping * m.speed, squared))
