@@ -26,6 +26,7 @@ from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation import batch
 from valve_control.design.identification import (
+    characteristic,
     experiment,
     first_gains,
     friction,
@@ -84,7 +85,7 @@ def identified(sine: Experiment, triangle: Experiment) -> tuple[Values, friction
     measured = experiment.estimate(sine, 0.4, None)
     model, delay = rational.fit(measured, 2).model, 0.0
     for _ in range(ROUNDS):
-        found = friction.friction(triangle, friction.lag_of(model, delay))
+        found, _ = characteristic.friction_and_curve(triangle, friction.lag_of(model, delay))
         measured = experiment.estimate(friction.without(sine, found), 0.4, None)
         second = best = rational.fit(measured, 2)
         with contextlib.suppress(ParameterError):

@@ -112,9 +112,9 @@ def search(
         restart = 0
         while count < evaluations:
             larger = min(MOST, population * 2**restart)
-            strategy = evolution_strategy(best, STEP, seed + restart + 1, larger)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
+                strategy = evolution_strategy(best, STEP, seed + restart + 1, larger)
                 while count < evaluations and not strategy.stop():
                     points = strategy.ask()
                     strategy.tell(points, judged(points))

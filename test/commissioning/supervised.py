@@ -62,8 +62,8 @@ def driven(bench, limits):
     return rest, slow, static, planned, bench.drive(course, limits, silent)
 
 
-def fitted(bench, limits, tell=lambda: None, threads=1):
+def fitted(bench, limits, tell=lambda: None):
     """What commissioning fits to the readings of ``bench``."""
     rest, slow, static, planned, sine = driven(bench, limits)
     _, fits, friction = evaluation.linear(sine, planned, static, rest)
-    return plant.fitted([slow, sine], fits, friction, static.offset, rest, tell, threads)
+    return plant.fitted([slow, sine], fits, friction, static.offset, rest, tell)

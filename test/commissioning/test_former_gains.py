@@ -15,7 +15,7 @@ from valve_control.design.commissioning import gains, plant, sequence
 from valve_control.design.commissioning.bench import Plan, Record, SafetyLimits, Swings
 from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.tuning.trial import TuningMotion
-from valve_control.parameter import ParameterError, defaults, updated
+from valve_control.parameter import defaults, updated
 
 LIMITS = SafetyLimits(4.0, 2.0)
 PLAN = Plan(LIMITS, "dcarc", 0.25, 20, 4, 4, 1, 1, alone=True)
@@ -141,22 +141,6 @@ def test_a_loud_run_is_tuned_again_with_a_lower_limit(monkeypatch, loud, errors,
     assert asked == pytest.approx(limits) and made.tuned.turn == turn
     told = f"from {loud[0]:.3g} to {loud[turn - 1]:.3g}"
     assert (told in made.note) == (turn > 1)
-
-
-def test_a_refusal_names_the_limit_that_binds(monkeypatch):
-    """Of 40 sets of gains 40 miss one margin and 30 another."""
-    margin = {"limit": "gain margin", "wanted": 3.0, "looked_at": 40, "missed": 40, "best": 2.1}
-    rows = [{**margin, "limit": "phase margin", "wanted": 20.0, "missed": 30, "best": 35.0}, margin]
-    bad = SimpleNamespace(verified=SimpleNamespace(reasons=["too near"]))
-    made = gains.TunedGains(SimpleNamespace(law="pid", chosen=bad, limits=rows), [], {}, {})
-    run, asked = sequence.Commissioning(SupervisedValve(), PLAN, defaults(CONTROLLER), Steps()), []
-    monkeypatch.setattr(run, "_tuned", lambda *about: (asked.append(about) or [made], []))
-    binding = (
-        r"pid for a box 2 times .*too near; the gain margin binds: 40 of 40 .* best has 2.1 dB \(>= 3 dB"
-    )
-    with pytest.raises(ParameterError, match=binding):
-        run._accepted(TESTS._replace(plant=LATE._replace(error=1.0)), None)
-    assert len(asked) == 2
 
 
 def test_the_approach_of_a_verification_run_is_not_judged():

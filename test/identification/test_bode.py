@@ -47,12 +47,6 @@ def test_held_response_is_that_of_the_simulated_valve(model, frequency, delay):
     assert abs(got / settled_ratio(model, frequency, 0.002, delay) - 1.0) < 1e-6
 
 
-def test_held_response_is_the_continuous_one_with_half_a_sample_of_delay_at_low_frequencies():
-    f = np.array([0.1, 1.0, 5.0])
-    ratio = bode.held_response(FOURTH_ORDER, f, 1e-4) / bode.response(FOURTH_ORDER, f, 0.5e-4)
-    assert np.max(np.abs(ratio - 1.0)) < 1e-5
-
-
 @pytest.mark.parametrize("power", [1, 2, 3])
 def test_equal_poles_have_partial_fractions_too(power):
     model = TransferFunction((60.0**power,), tuple(map(float, np.poly([-60.0] * power))))

@@ -21,6 +21,10 @@ def triangle(**changes):
     return build.commands(experiment.test_values({**friction.TEST, **changes}, PERIOD))
 
 
+def curve_of(tested, lag):
+    return characteristic.friction_and_curve(tested, lag)[1]
+
+
 def played(voltage, half):
     """Play of the ``half`` width: the output rests until the input has gone through it."""
     out = np.empty_like(voltage)
@@ -112,7 +116,7 @@ def close(found, value, least=0.004):
     ],
 )
 def test_the_static_curve_comes_back(valve):
-    found = characteristic.characteristic(static(**valve), -0.5 * PERIOD)
+    found = curve_of(static(**valve), -0.5 * PERIOD)
     given = {"positive": 0.9, "negative": 0.9, "low": 0.0, "high": 0.0, "play": 0.0, **valve}
     assert close(found.positive.gain, given["positive"]) and close(found.negative.gain, given["negative"])
     assert close(found.overlap, given["high"] - given["low"])
@@ -141,7 +145,7 @@ def test_the_turn_tells_play_from_friction(half, coulomb, presliding):
         {**experiment.test_values(friction.TEST, PERIOD), "scenario": "array"},
         played(voltage, half),
     )._replace(voltage=voltage)
-    found = characteristic.characteristic(done, LAG)
+    found = curve_of(done, LAG)
     assert found.hysteresis.value == pytest.approx(2.0 * (half + coulomb), abs=0.002)
     assert found.shares.play == pytest.approx(half, abs=0.03)
     assert found.shares.friction == pytest.approx(coulomb, abs=0.03)
@@ -159,7 +163,7 @@ def test_a_spool_that_swings_on_its_bristles_has_no_play(period):
         updated(VALVE, defaults(VALVE), {**rubbing, "sample_period": period, "lvdt.noise": 0.0056}),
         test,
     )
-    assert characteristic.characteristic(done, LAG).shares is None
+    assert curve_of(done, LAG).shares is None
 
 
 @pytest.mark.parametrize(("presliding", "told"), [(0.0, True), (0.02, False)])
@@ -174,7 +178,7 @@ def test_friction_without_presliding_is_not_taken_for_play_alone(presliding, tol
         {**experiment.test_values(friction.TEST, PERIOD), "scenario": "array"},
         triangle(),
     )
-    found = characteristic.characteristic(done, 0.2 / w)
+    found = curve_of(done, 0.2 / w)
     assert found.hysteresis.value == pytest.approx(0.6, abs=0.01)
     said = " ".join(characteristic.notes(found))
     assert ("or friction without presliding, which looks the same" in said) == told
@@ -198,7 +202,7 @@ def test_unequal_gains_and_overlap_hide_no_play(positive=1.05, overlap=0.3):
     values = updated(VALVE, defaults(VALVE), valve)
     done = experiment.simulated(defaults(CONTROLLER), values, experiment.test_values(friction.TEST, PERIOD))
     lag = friction.lag_of(build.valve_model(values), 0.0)
-    found = characteristic.characteristic(done, lag)
+    found = curve_of(done, lag)
     assert found.lopsided
     assert found.shares.play == pytest.approx(0.15, abs=0.03)
     assert found.shares.friction == pytest.approx(0.4 / (0.5 * (positive + 0.95)), abs=0.03)
@@ -214,7 +218,7 @@ def test_a_describing_function_is_the_first_harmonic_of_a_play(share):
 
 
 def test_a_stop_is_told_on_its_side():
-    found = characteristic.characteristic(static(positive=0.95, negative=0.8, stop=3.3), -0.5 * PERIOD)
+    found = curve_of(static(positive=0.95, negative=0.8, stop=3.3), -0.5 * PERIOD)
     assert found.positive.stop.value == pytest.approx(3.3, abs=0.002) and found.negative.stop is None
 
 
@@ -228,9 +232,7 @@ def test_a_stop_is_told_on_its_side():
 def test_overlap_and_unequal_gains_are_no_friction(valve, coulomb, null):
     """Before: an overlap of 0.6 V was a friction of 0.3 V, and gains 15 % apart an offset of 0.2 V."""
     one = static(**valve)
-    bare = friction.friction(one, 0.0)
-    assert max(abs(bare.coulomb - coulomb), abs(bare.offset + null)) > 0.1
-    found, curve = characteristic.with_friction(one, 0.0)
+    found, curve = characteristic.friction_and_curve(one, 0.0)
     assert curve.lopsided
     assert found.coulomb == pytest.approx(coulomb, abs=0.01)
     assert found.offset == pytest.approx(-null, abs=0.01)
@@ -238,7 +240,7 @@ def test_overlap_and_unequal_gains_are_no_friction(valve, coulomb, null):
 
 def test_an_even_valve_keeps_its_friction_and_one_side_has_no_curve():
     one = static(play=0.2)
-    assert characteristic.with_friction(one, 0.0)[0] == friction.friction(one, 0.0)
+    assert characteristic.friction_and_curve(one, 0.0)[0].coulomb == pytest.approx(0.2, abs=0.002)
     lifted = one._replace(position=one.position + 9.0)
-    found, curve = characteristic.with_friction(lifted, 0.0)
+    found, curve = characteristic.friction_and_curve(lifted, 0.0)
     assert curve is None and found.coulomb == pytest.approx(0.2, abs=0.01)

@@ -9,7 +9,7 @@ import pytest
 
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant import valve
+from valve_control.control.plant import models, valve
 from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
 from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.simulation import batch
@@ -53,12 +53,8 @@ def test_every_law_settles_on_valves_around_it(model, delay, noise=0.001):
     plants = []
     for _ in range(24):
         gain, speed = random.uniform(0.8, 1.25, 2)
-        denominator = tuple(c * speed**i for i, c in enumerate(model.denominator))
-        numerator = tuple(c * speed ** (i + 2) for i, c in enumerate(model.numerator))
         late = IDEAL._replace(delay=delay / PERIOD + random.uniform(0.0, 1.0))
-        plants.append(
-            valve.design(TransferFunction(numerator, denominator), PERIOD, U_MAX, gain, valve.FREE, late)
-        )
+        plants.append(valve.design(models.faster(model, gain, speed), PERIOD, U_MAX, 1.0, valve.FREE, late))
     command = np.full(6000, STEP)
     values = updated(CONTROLLER, defaults(CONTROLLER), made.values)
     for name in ("pid", "arc", "oarc", "dcarc"):

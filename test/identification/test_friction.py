@@ -11,7 +11,14 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import FOURTH_ORDER
 from valve_control.control.simulation import batch
-from valve_control.design.identification import experiment, first_gains, friction, rational, theta
+from valve_control.design.identification import (
+    characteristic,
+    experiment,
+    first_gains,
+    friction,
+    rational,
+    theta,
+)
 from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.lvdt import Lvdt
 from valve_control.parameter import ParameterError, defaults, updated
@@ -53,7 +60,7 @@ def test_friction_offset_and_presliding_of_random_valves():
     batch.simulate(batch.Batch("open_loop", params, rows, np.arange(len(plants)), voltage), 1, traces)
     told = 0
     for plant, trace in zip(plants, traces, strict=True):
-        found = friction.friction(made(voltage, trace[:, 1]), lag_with_flow(plant))
+        found = characteristic.friction_and_curve(made(voltage, trace[:, 1]), lag_with_flow(plant))[0]
         true = plant.disturbance
         assert abs(found.coulomb - true.coulomb) < 0.005
         assert abs(found.offset - true.offset) < 0.001
@@ -73,7 +80,7 @@ def test_friction_taken_off_gives_the_model_back():
     sine = {"amplitude": 6.0, "steps": 16, "cycles": 4, "step_time": 0.8, "frequency": 0.8}
     tested = experiment.simulated(controller, plant, experiment.test_values(sine, PERIOD))
     slow = experiment.simulated(controller, plant, experiment.test_values(friction.TEST, PERIOD))
-    found = friction.friction(slow, friction.lag_of(FOURTH_ORDER, 0.0))
+    found = characteristic.friction_and_curve(slow, friction.lag_of(FOURTH_ORDER, 0.0))[0]
     assert found.coulomb == pytest.approx(1.16, abs=0.005)
     assert found.presliding == pytest.approx(0.02, rel=0.05)
     missed = []
@@ -103,4 +110,4 @@ def test_friction_taken_off_gives_the_model_back():
 )
 def test_what_is_no_slow_triangle_is_refused(voltage, gain, text):
     with pytest.raises(ParameterError, match=text):
-        friction.friction(made(voltage, gain * voltage), friction.lag_of(FOURTH_ORDER, 0.0))
+        characteristic.friction_and_curve(made(voltage, gain * voltage), friction.lag_of(FOURTH_ORDER, 0.0))

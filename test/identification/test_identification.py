@@ -1,10 +1,14 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""From voltages and readings to models: what goes in must come out."""
+"""From voltages and readings to models: what goes in must come out, and nothing is invented."""
+
+import math
 
 import numpy as np
 import pytest
 import scipy.signal
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
@@ -14,6 +18,7 @@ from valve_control.design.identification import (
     bode,
     datasheet,
     experiment,
+    lvdt,
     rational,
     response,
     result,
@@ -270,3 +275,73 @@ def test_a_recording_may_begin_without_a_voltage():
     assert np.array_equal(found.value, wanted.value)
     true = scipy.signal.freqz([0.0, 0.1], [1.0, -0.9], found.frequency, fs=1000.0)[1]
     assert found.value == pytest.approx(true, rel=0.01)
+
+
+def with_coil(hertz, damping, lag, gain=0.85):
+    omega = 2.0 * math.pi * hertz
+    denominator = np.polymul([1.0, 2.0 * damping * omega, omega**2], [1.0, 1.0 / lag])
+    return TransferFunction((gain * omega**2 / lag,), tuple(map(float, denominator)))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0005, 0.001])
+@pytest.mark.parametrize(("hertz", "damping", "lag"), [(9.0, 0.8, 0.004), (7.0, 0.8, 0.003)])
+def test_a_coil_is_a_pole_and_not_dead_time(hertz, damping, lag, delay):
+    best = rational.choose(made(with_coil(hertz, damping, lag), delay=delay))
+    assert (best.order, len(best.model.numerator)) == (3, 1)
+    assert ("delay" in best.names) == (delay > 0.0)
+    assert abs(best.delay - delay) < 1e-5
+    fast = max(bode.roots(best.model.denominator), key=lambda root: root.frequency)
+    assert 2.0 * math.pi * fast.frequency * lag == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("model", "delay", "form"),
+    [
+        (SECOND_ORDER, 0.0, (2, 0, False)),
+        (SECOND_ORDER, 0.001, (2, 0, True)),
+        (FOURTH_ORDER, 0.0, (4, 2, False)),
+        (FOURTH_ORDER, 0.006, (4, 2, True)),
+    ],
+)
+def test_the_models_of_the_paper_keep_their_structure(model, delay, form):
+    best = rational.choose(made(model, delay=delay))
+    assert (best.order, len(best.model.numerator) - 1, "delay" in best.names) == form
+    assert np.allclose(best.values[: len(best.values) - form[2]][-1], model.denominator[-1], rtol=0.02)
+
+
+def test_noise_that_explains_the_second_order_ends_the_search():
+    measured = made(SECOND_ORDER, deviation=1e-3)
+    assert rational.choose(measured).names == ("b0", "a1", "a0")
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    noise=st.floats(1e-3, 15e-3),
+    resolution=st.sampled_from([0.0, 0.5e-3, 3.7e-3]),
+    frequency=st.floats(0.1, 20.0),
+    seed=st.integers(0, 1000),
+)
+def test_noise_and_step_come_back_under_a_motion(noise, resolution, frequency, seed):
+    random = np.random.default_rng(seed)
+    t = np.arange(20_000) * 0.001
+    y = 2.0 * np.sin(2.0 * np.pi * frequency * t) + noise * random.standard_normal(len(t))
+    y = resolution * np.round(y / resolution) if resolution else y
+    found = lvdt.observe(y)
+    assert found.resolution == pytest.approx(resolution, rel=1e-6)
+    # In the sum with the steps' variance the estimate is good to 3 %.
+    assert np.hypot(found.noise, resolution / 12**0.5) == pytest.approx(
+        np.hypot(noise, resolution / 12**0.5), rel=0.06
+    )
+
+
+def test_lost_readings_do_not_count_and_too_few_tell_nothing():
+    random = np.random.default_rng(1)
+    y = 0.005 * random.standard_normal(5000)
+    y[::50] = np.nan
+    assert lvdt.observe(y).noise == pytest.approx(0.005, rel=0.06)
+    assert lvdt.observe(y[:20]) == (0.0, 0.0)
+
+
+def test_noise_below_a_step_is_hidden():
+    found = lvdt.observe(0.01 * np.round(np.linspace(0.0, 1.0, 5000) / 0.01))
+    assert found.resolution == pytest.approx(0.01) and found.noise == 0.0

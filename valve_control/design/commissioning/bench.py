@@ -125,10 +125,8 @@ class Record(NamedTuple):
 
     def part(self, first: int, end: int) -> "Record":
         """Samples ``first`` to before ``end``, as one part."""
-        reading, voltage, command = (
-            signal[first:end] for signal in (self.reading, self.voltage, self.command)
-        )
-        return Record(self.period, reading, voltage, command, (0,), self.latency, self.late[first:end])
+        parts = {name: getattr(self, name)[first:end] for name in ("reading", "voltage", "command", "late")}
+        return self._replace(begins=(0,), **parts)
 
     def parts(self) -> "list[Record]":
         """Each part."""

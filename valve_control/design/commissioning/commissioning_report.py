@@ -13,7 +13,7 @@ from valve_control.control.analysis.figures import Line, Plot
 from valve_control.control.analysis.indices import Indices
 from valve_control.control.parameters.ros_file import as_text
 from valve_control.control.parameters.table import VALVE
-from valve_control.design.commissioning import magnet, plant
+from valve_control.design.commissioning import plant
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.sequence import Result
 from valve_control.design.identification import bode, result
@@ -98,7 +98,7 @@ def _valve(found: Result) -> str:
     }
     if valve.magnet is not None:
         units = {parameter.name: parameter.unit for parameter in VALVE}
-        own = magnet.values(valve.magnet, found.plan.sensor_delay)
+        own = plant.solenoid_values(valve.magnet, found.plan.sensor_delay)
         rows |= {
             name: f"{value:.3g} {units[name]}" for name, value in own.items() if name.startswith("solenoid.")
         }
@@ -130,8 +130,8 @@ def _response(found: Result) -> str:
         plots.append(Plot(title, [Line("measured", measured.frequency, read(measured.value)), model]))
     plots.append(Plot("coherence", [Line("measured", measured.frequency, measured.coherence)]))
     return (
-        "<p>Measured: the first harmonic, friction taken out as a square wave; near 0 Hz the spool sticks at "
-        "each turn, which the model knows and this response does not.</p>"
+        "<p>Measured: the first harmonic, without the voltage that Coulomb friction takes; near 0 Hz the "
+        "spool sticks at each turn, which the model knows and this response does not.</p>"
         + pages.figure(plots, "frequency [Hz]", logarithmic_x=True)
     )
 

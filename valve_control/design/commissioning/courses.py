@@ -8,10 +8,9 @@ While the law is ``open_loop`` with a static gain of 1 a command is the voltage 
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from valve_control.arrays import Floats
 from valve_control.control.commands.scenarios import Step
+from valve_control.control.parameters import build
 from valve_control.design.commissioning.bench import Course, Mark, Point, SafetyLimits
 
 PIECE = 0.5  # s  of a rest, that a pause spoils
@@ -110,7 +109,7 @@ def motion(
 
     ``mark`` gets the stretches that begin at the samples ``stretches``, from 1 on.
     """
-    velocity, acceleration = derivatives(wanted, period)
+    velocity, acceleration = build.derivatives(wanted, period)
     left = list(enumerate(stretches, 1))
     last = len(wanted) - 1
     k, time = 0, 0.0
@@ -121,10 +120,3 @@ def motion(
         time = now.time
         k = round(time / period)
     yield Point(0.0, 0.0, 0.0)
-
-
-def derivatives(wanted: Floats, period: float) -> tuple[Floats, Floats]:
-    """Velocity [V/s] and acceleration [V/s²] of a ``wanted`` motion [V], one entry a sample."""
-    velocity: Floats = np.gradient(wanted, period)
-    acceleration: Floats = np.gradient(velocity, period)
-    return velocity, acceleration

@@ -1,11 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluates the tests: rest, noise, static gain, friction, dead zone, and response without friction.
-
-Coulomb friction F answers a sine of the position Y with a square wave against its velocity, whose first
-harmonic is 4F/π. So the valve itself was driven by U - (4F/π)·j·Y/|Y| instead of U, as long as it slides
-(describing function, e.g. A. Gelb, W. E. Vander Velde, Multiple-Input Describing Functions, 1968).
-"""
+"""Evaluates the tests: rest, noise, static gain, friction, dead zone, and response without friction."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -14,12 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.ndimage
 
 from valve_control.arrays import Floats
 from valve_control.control.commands import scenarios
 from valve_control.design.commissioning.bench import Record, SafetyLimits
 from valve_control.design.commissioning.courses import REACH
+from valve_control.design.identification import friction as rubbing
 from valve_control.design.identification import lvdt, rational, response
+from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
@@ -37,8 +35,6 @@ CYCLES, STEP_TIME = 3, 0.8  # -, s  least length of a step
 SETTLE = 0.25  # s  of each, left out
 FILLED = 0.9  # of the travel at which a course turns round, that the lowest frequency may take
 SLIDES = 1.4  # times the friction, which a sine needs at least
-DRIVEN = 0.25  # of a sine's amplitude, that must be left for the valve itself
-UNSURE = 0.05  # relative uncertainty of the friction
 ROUNDS = 3  # of friction and lag
 # Orders beside the second, and their zeros: a lag of solenoid or amplifier has none.
 HIGHER = ((3, 0), (4, 2))
@@ -170,21 +166,21 @@ def plan(limits: SafetyLimits, static: Static, period: float) -> SinePlan:
 
 
 def measured(record: Record, planned: SinePlan, friction: float) -> Response:
-    """Response of the valve itself in a ``record`` of the sine, without ``friction`` [V].
+    """Response of the valve itself in a ``record`` of the sine, without Coulomb ``friction`` [V].
 
     Raises ParameterError if nothing can be used.
     """
     steps = response.segments_of(planned.steps, record.period)
-    segments = [segment for segment in steps if segment.end <= len(record.reading)]
+    segments = tuple(segment for segment in steps if segment.end <= len(record.reading))
     if not segments:
         raise ParameterError("the stepped sine ended before its first frequency was over")
-    whole = response.stepped(record.voltage, record.reading, segments, record.period, SETTLE)
-    amplitudes = []
-    for frequency in whole.frequency:
-        segment = min(segments, key=lambda s: abs(s.frequency - frequency))
-        settled = segment.first + round(SETTLE / record.period)
-        amplitudes.append(math.sqrt(2.0) * float(np.std(record.voltage[settled : segment.end])))
-    return _without(whole, np.array(amplitudes), friction)
+    tested = Experiment("sine", record.period, record.voltage, record.reading, segments, math.inf, ())
+    sliding = rubbing.without(tested, rubbing.Friction(friction, 0.0, 1.0, 0.0, 0))
+    whole, found = (
+        response.stepped(one.voltage, one.position, segments, record.period, SETTLE)
+        for one in (tested, sliding)
+    )
+    return rubbing.unsure(found, whole)
 
 
 def linear(
@@ -219,30 +215,6 @@ def higher(
     return fits, notes
 
 
-def _without(whole: Response, amplitude: Floats, friction: float) -> Response:
-    """The ``whole`` response without ``friction`` [V]; ``amplitude`` [V], n: of each frequency's sine."""
-    level = 4.0 * friction / math.pi
-    direction = whole.value / np.abs(whole.value)
-    left = amplitude - 1j * level * direction
-    usable = np.abs(left) > DRIVEN * amplitude
-    notes = list(whole.notes)
-    if not np.any(usable):
-        raise ParameterError(
-            f"friction of {friction:.3g} V takes up the sine; give a higher limit of the voltage"
-        )
-    if not np.all(usable):
-        notes.append(
-            f"{int(np.count_nonzero(~usable))} frequencies are left out: friction takes up their sine"
-        )
-    value = whole.value * amplitude / left
-    size = np.abs(value)
-    unsure = UNSURE * level / np.abs(left) * size
-    deviation = np.hypot(whole.deviation * size / np.abs(whole.value), unsure)
-    frequency, coherence = whole.frequency[usable], whole.coherence[usable]
-    whole = whole._replace(frequency=frequency, coherence=coherence, notes=tuple(notes))
-    return whole._replace(value=value[usable], deviation=deviation[usable])
-
-
 def _turns(voltage: Floats) -> npt.NDArray[np.int64]:
     """Samples at which a triangle turns, the last one being its end."""
     steps = np.diff(voltage)
@@ -258,6 +230,4 @@ def _averaged(signal: Floats, width: int) -> Floats:
     """Mean over ``width`` samples of a ``signal``, whose gaps are filled."""
     known = np.flatnonzero(np.isfinite(signal))
     filled = np.interp(np.arange(len(signal)), known, signal[known])
-    padded = np.pad(filled, (width // 2, width - 1 - width // 2), mode="edge")
-    mean: Floats = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
-    return mean
+    return np.asarray(scipy.ndimage.uniform_filter1d(filled, width, mode="nearest"))

@@ -12,12 +12,12 @@ from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices, indices
 from valve_control.control.laws import dcarc
 from valve_control.control.laws.registry import LAWS
+from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
 from valve_control.control.plant.models import scale_of
 from valve_control.control.simulation import offline
 from valve_control.design.commissioning import model, plant
 from valve_control.design.commissioning.bench import Fault, Plan, Progress, Record
-from valve_control.design.commissioning.courses import derivatives
 from valve_control.design.commissioning.evaluation import Rest
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.identification.first_gains import FRICTION_TERMS
@@ -195,7 +195,7 @@ def _simulated(
     count, all if None.
     """
     wanted, judged = motion.wanted, motion.judged
-    moved = derivatives(wanted, number(valve, "sample_period"))
+    moved = build.derivatives(wanted, number(valve, "sample_period"))
     with np.errstate(over="ignore", invalid="ignore"):
         run = offline.simulate(values, valve, wanted, derivatives=moved)
         kept = None if steady is None else np.resize(steady, len(wanted) - judged)

@@ -3,6 +3,7 @@
 """Derives the controller's model and estimates from the fitted valve, and the box of valves to tune for."""
 
 import math
+from itertools import islice
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from valve_control.design.commissioning.bench import SafetyLimits
 from valve_control.design.commissioning.evaluation import Rest
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.identification import dead_time, first_gains, rational, theta
-from valve_control.design.identification.bode import held_response
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
 from valve_control.design.identification.response import Response
@@ -52,10 +52,7 @@ class Known:
         Raises ParameterError.
         """
         frequency = np.geomspace(LOWEST, min(HIGHEST, FASTEST / period), FREQUENCIES)
-        value = held_response(plant.model, frequency, period, plant.delay)
-        exact = Response(
-            frequency, value, CERTAIN * np.abs(value), np.ones(len(value)), period, "fitted valve", ()
-        )
+        exact = rational.exact(plant.model, frequency, period, plant.delay, CERTAIN)
         order, zeros = len(plant.model.denominator) - 1, len(plant.model.numerator) - 1
         late = plant.delay > LATE * period
         self.second = rational.fit(exact, 2)
@@ -166,15 +163,10 @@ def motions(plant: Plant, known: Known, limits: SafetyLimits, period: float) -> 
         rate = np.gradient(wanted, period)
         return float(np.max(np.abs(np.gradient(rate, period) + a1 * rate + a0 * wanted))) / b0
 
-    strokes = next(
-        (m for v in np.geomspace(20.0, 0.1, 40) if need(m := _strokes(height, float(v), period)) <= left),
-        None,
-    )
-    small = SINE * height
-    sine = next(
-        (m for f in np.geomspace(20.0, 0.5, 40) if need(m := _sine(small, float(f), period)) <= left), None
-    )
-    possible = [TuningMotion(name, m) for name, m in (("strokes", strokes), ("sine", sine)) if m is not None]
+    possible = list[TuningMotion]()
+    for name, shape, size, slowest in (("strokes", _strokes, 1.0, 0.1), ("sine", _sine, SINE, 0.5)):
+        tried = (shape(size * height, float(quick), period) for quick in np.geomspace(20.0, slowest, 40))
+        possible += islice((TuningMotion(name, wanted) for wanted in tried if need(wanted) <= left), 1)
     if not possible:
         raise ParameterError("no motion can be found that the valve follows within the limit of the voltage")
     return possible

@@ -3,7 +3,8 @@
 """Fits the valve with its friction to the tests: the simulated valve gets the same voltages (output error).
 
 The response without friction is where the search begins. At low frequencies the spool sticks at each turn,
-which no response shows; simulated, it does the same.
+which no response shows; simulated, it does the same. A valve with solenoids has coil, hysteresis, two gains,
+overlap and LuGre friction (docs/explanation/valve_model.md).
 """
 
 import math
@@ -11,22 +12,22 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.optimize
 
 from valve_control.arrays import Floats
 from valve_control.control import closed_loop
 from valve_control.control.laws import biquads
 from valve_control.control.laws.signals import Start
-from valve_control.control.plant import registry, valve
+from valve_control.control.parameters import build
+from valve_control.control.parameters.table import VALVE
+from valve_control.control.plant import registry
 from valve_control.control.plant.models import TransferFunction
-from valve_control.control.plant.sensor import IDEAL
-from valve_control.design.commissioning import magnet
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.evaluation import Friction, Rest
-from valve_control.design.commissioning.magnet import Magnet
+from valve_control.design.identification import rational
+from valve_control.design.identification.characteristic import TOLD_OVERLAP
 from valve_control.design.identification.rational import Fit
-from valve_control.parameter import Values
+from valve_control.parameter import Values, defaults
 
 MODEL_ERROR = 0.03  # of a stretch's motion, that a model of the valve is allowed beside the noise
 QUIET = 1e-3  # V  noise that is assumed at least
@@ -34,7 +35,7 @@ STRETCH = 0.8  # s  over which motion and noise are weighed against each other
 EVALUATIONS = 14  # of the search, each with a Jacobian
 STEP = 2e-3  # of a parameter's unit, for the Jacobian
 BEGINNING = 0.005  # s  of a test, whose mean reading is where the spool stands at first
-FREE_VELOCITY, SCALE = 0.1, 0.02  # V/s  Stribeck velocity and linear zone, which the tests do not show
+WITHOUT_END = 1e6  # V
 BETTER = 0.97  # times the error of the order below, under which a higher order counts
 LATEST, LATEST_TIME = 5.0, 0.01  # sample periods and s, the larger of which bounds the dead time
 EXPLAINED = 3.0  # error up to which a model describes the valve
@@ -47,7 +48,54 @@ AWAY = 0.1  # of the logarithms of coefficients, from their bounds, where a sear
 # end at 100 Hz or below, and at a fifth of the sampling frequency.
 SLOWEST_POLE = 0.01  # rad/s
 FASTEST_POLE, FASTEST_SPEED = 10.0, 6000.0  # radians a sample and rad/s, the smaller of which bounds it
+# Of a valve with solenoids
+STRIBECK = 0.03  # V/s  which the tests do not show
+PRESLIDING, SHORTEST, LONGEST = 0.02, 0.002, 0.15  # V  first guess and bounds
+WIDTH = 0.3  # of the friction, full width of the hysteresis with which a search begins
+FASTEST_COIL, SLOWEST_COIL = 3e-4, 0.03  # s
+AT_BOUND = 1.1  # times the fastest coil, up to which there is none
+COIL = 0.2  # of the spool's time constant, where a response shows no third pole
+STUCK = 1e-3  # V  least friction
+MOST_RATIO = 2.0  # -  static over Coulomb friction
+WIDEST = 2.0  # V  hysteresis and overlap
+LONGEST_DELAY = 0.005  # s
+SIDES = 0.5  # logarithm of the ratio of both gains
+MOST_EVALUATIONS = 80  # of a search with solenoids, each with a Jacobian
+CONVERGED = 1e-3  # relative change of the cost in one evaluation, below which a search ends
+INSIDE = 1e-3  # of the bounds, within which a search begins
 NO_STOPS: Values = {"solenoid.stop_low": -1000.0, "solenoid.stop_high": 1000.0}  # V  the tests show none
+
+
+class Magnet(NamedTuple):
+    """A valve with two solenoids."""
+
+    speed: float  # rad/s  natural frequency of the spool
+    damping: float  # -
+    coil: float  # s
+    gain: float  # V/V  mean of both sides
+    sides: float  # -  logarithm of the ratio of the positive gain to the negative
+    hysteresis: float  # V  full width
+    overlap: float  # V
+    coulomb: float  # V
+    presliding: float  # V
+    static_ratio: float  # -
+    offset: float  # V
+    delay: float  # s
+
+    @property
+    def positive(self) -> float:
+        """Factor of the gain of the positive side; that of the other one makes their mean 1."""
+        return 2.0 / (1.0 + math.exp(-self.sides))
+
+    @property
+    def negative(self) -> float:
+        """Factor of the gain of the negative side."""
+        return 2.0 - self.positive
+
+    @property
+    def model(self) -> TransferFunction:
+        """From voltage to position, for small motions."""
+        return build.valve_model({**defaults(VALVE), **solenoid_values(self, 0.0)})
 
 
 class Plant(NamedTuple):
@@ -76,7 +124,7 @@ def values(fitted: Plant, rest: Rest, period: float, u_max: float, sensor_delay:
         "flow_force": 0.0,
     }
     if fitted.magnet is not None:
-        of_valve = magnet.values(fitted.magnet, sensor_delay)
+        of_valve = solenoid_values(fitted.magnet, sensor_delay)
         return {**of_valve, **common, **NO_STOPS, "solenoid.u_min": -u_max}
     numerator, denominator = ([float(f"{c:.10g}") for c in part] for part in fitted.model)
     return {
@@ -92,6 +140,32 @@ def values(fitted: Plant, rest: Rest, period: float, u_max: float, sensor_delay:
     }
 
 
+def solenoid_values(m: Magnet, sensor_delay: float) -> Values:
+    """``m`` as parameters of the simulated valve.
+
+    ``sensor_delay`` [s]: what of the dead time is the LVDT's.
+    """
+    behind = min(m.delay, sensor_delay)
+    parameters = {
+        "solenoid.natural_frequency": m.speed / (2.0 * math.pi),
+        "solenoid.damping": m.damping,
+        "solenoid.coil": m.coil,
+        "solenoid.gain": m.gain,
+        "solenoid.positive": m.positive,
+        "solenoid.negative": m.negative,
+        "solenoid.hysteresis": m.hysteresis,
+        "solenoid.overlap": m.overlap,
+        "solenoid.dead_time": m.delay - behind,
+        "lvdt.delay": behind,
+        "friction.coulomb": m.coulomb,
+        "friction.static_ratio": m.static_ratio,
+        "friction.stribeck_velocity": STRIBECK,
+        "friction.presliding": m.presliding,
+        "disturbance.offset": max(-10.0, min(10.0, m.offset)),
+    }
+    return {"valve": "solenoid", **{name: float(f"{value:.6g}") for name, value in parameters.items()}}
+
+
 def fitted(
     records: Sequence[Record],
     fits: Sequence[Fit],
@@ -99,17 +173,16 @@ def fitted(
     offset: float,
     rest: Rest,
     tell: Callable[[], None] = lambda: None,
-    threads: int = 1,
     richer: Callable[[], Sequence[Fit]] = tuple,
 ) -> Plant:
     """The valve whose simulation comes nearest to ``records``, of the order of one of ``fits``.
 
     ``friction`` and ``offset`` [V] are first guesses. Where none explains the readings, the forms of
-    ``richer`` are tried too, and a valve with solenoids, on so many ``threads``, with the same result.
-    ``tell`` is called after each simulation; what it raises ends the search.
+    ``richer`` are tried too, and a valve with solenoids. ``tell`` is called before each simulation; what it
+    raises ends the search.
     """
     ordered = sorted(fits, key=lambda f: f.order)
-    tests = _Tests(records, [_weight(record, rest) for record in records], tell, threads)
+    tests = _Tests(records, [_weight(record, rest) for record in records], tell)
     best = _best([_near(tests, fit, friction, offset) for fit in ordered])
     if best.error > EXPLAINED:
         best = _best([best, *(_near(tests, fit, friction, offset) for fit in richer())])
@@ -132,7 +205,7 @@ def simulated(plant: Plant, record: Record) -> Floats:
 
     Each part begins where its spool stands first.
     """
-    valve_params = _params(plant, record.period)
+    valve_params = params(plant, record.period)
     return np.concatenate(
         [
             positions(valve_params, part.voltage, first_reading(part.reading, part.period))
@@ -141,20 +214,9 @@ def simulated(plant: Plant, record: Record) -> Floats:
     )
 
 
-def _params(plant: Plant, period: float) -> Any:
+def params(plant: Plant, period: float) -> Any:
     """``plant`` as a simulated valve without noise and limits."""
-    if plant.magnet is not None:
-        return magnet.solenoid_params(plant.magnet, period)
-    disturbance = valve.FREE._replace(
-        coulomb=plant.friction.coulomb,
-        static_ratio=plant.friction.static_ratio,
-        stribeck_velocity=FREE_VELOCITY,
-        velocity_scale=SCALE,
-        presliding=plant.presliding,
-        offset=plant.offset,
-    )
-    lvdt = IDEAL._replace(delay=plant.delay / period)
-    return valve.design(plant.model, period, 1e6, 1.0, disturbance, lvdt)
+    return build.valve_params({**defaults(VALVE), **values(plant, Rest(0.0, 0.0, 0.0), period, WITHOUT_END)})
 
 
 def first_reading(reading: Floats, period: float) -> float | None:
@@ -219,10 +281,7 @@ class _Form(NamedTuple):
 
     def plant(self, x: Floats) -> Plant:
         """The valve with unknowns ``x``."""
-        coefficients = np.exp(np.clip(x[: self.order], *self.coefficients()) - 1.0)
-        denominator: npt.NDArray[Any] = np.ones(1)
-        for i in range(0, self.order, 2):
-            denominator = np.polymul(denominator, [1.0, *coefficients[i : min(i + 2, self.order)]])
+        denominator = rational.product(np.clip(x[: self.order], *self.coefficients()) - 1.0)
         scale = denominator[-1] ** (1.0 / self.order)
         ascending = [x[self.order + i] * denominator[-1] * scale**-i for i in range(self.zeros)]
         model = TransferFunction(tuple(map(float, ascending[::-1])), tuple(map(float, denominator)))
@@ -243,21 +302,13 @@ class _Form(NamedTuple):
 
     def begin(self, fit: Fit, friction: Friction, offset: float) -> Floats:
         """Unknowns of a search that begins at ``fit``, within their bounds and not upon them."""
-        fitted_roots = np.roots(fit.model.denominator)
-        factor = np.minimum(1.0, FIRST_POLE * _fastest(self.period) / np.abs(fitted_roots))
-        roots = sorted(factor * fitted_roots, key=lambda root: (abs(root), root.imag))
-        real = [root for root in roots if root.imag == 0.0]
-        single = [real.pop()] if fit.order % 2 else []  # the fastest real pole stands alone
-        pairs = [*zip(real[::2], real[1::2], strict=True)]
-        pairs += [(root.conjugate(), root) for root in roots if root.imag > 0.0]
-        polynomials = [np.poly(pair).real for pair in sorted(pairs, key=lambda pair: abs(pair[0]))]
-        factors = [1.0 + math.log(c) for _, *lower in polynomials for c in lower]
-        factors += [1.0 + math.log(-root.real) for root in single]
-        scale = (abs(fit.model.denominator[-1]) * float(np.prod(factor))) ** (1.0 / fit.order)
-        static = fit.model.denominator[-1]
+        roots, static = np.roots(fit.model.denominator), fit.model.denominator[-1]
+        factor = np.minimum(1.0, FIRST_POLE * _fastest(self.period) / np.abs(roots))
+        slowed = np.asarray(np.poly(factor * roots).real, dtype=np.float64)
+        scale = float(slowed[-1]) ** (1.0 / fit.order)
         ascending = [c * scale**i / static for i, c in enumerate(reversed(fit.model.numerator))]
         least, most = self.coefficients()
-        poles = np.clip(factors, least + AWAY, most - AWAY)
+        poles = np.clip(1.0 + rational.factors(slowed[1:]), least + AWAY, most - AWAY)
         delay = min(max(fit.delay / self.period, 1e-3), self.bounds()[1][-1] - 1e-3)
         return np.array([*poles, *ascending, max(friction.coulomb, 1e-6), offset, delay])
 
@@ -267,8 +318,7 @@ class _Tests(NamedTuple):
 
     records: Sequence[Record]
     weights: Sequence[Floats]  # of their samples
-    tell: Callable[[], None]  # called after each simulation of a search
-    threads: int
+    tell: Callable[[], None]  # called before each simulation of a search
 
     @property
     def period(self) -> float:
@@ -305,6 +355,83 @@ def _near(tests: _Tests, fit: Fit, friction: Friction, offset: float) -> Plant:
     return tests.judged(form.plant(done.x))
 
 
+def first_guess(model: TransferFunction, friction: Friction, offset: float, delay: float) -> Magnet:
+    """Where a search begins: a fitted ``model``, its ``delay`` [s] and ``offset`` [V] as a disturbance.
+
+    The spool is the pair of poles; of three real ones the slower two.
+    """
+    poles = sorted(np.roots(model.denominator), key=lambda pole: (abs(pole), pole.imag))
+    slow = [pole for pole in poles if pole.imag != 0.0][:2] or poles[:2]
+    speed = math.sqrt(abs(slow[0] * slow[1]))
+    damping = float(-np.real(slow[0] + slow[1])) / (2.0 * speed)
+    others = [pole.real for pole in poles if pole not in slow and pole.imag == 0.0]
+    coulomb = max(STUCK, friction.coulomb)
+    return Magnet(
+        speed=speed,
+        damping=min(3.0, max(0.1, damping)),
+        coil=-1.0 / others[0] if others and others[0] < 0.0 else COIL / speed,
+        gain=model.static_gain,
+        sides=0.0,
+        hysteresis=WIDTH * coulomb,
+        overlap=0.0,
+        coulomb=(1.0 - 0.5 * WIDTH) * coulomb,
+        presliding=PRESLIDING,
+        static_ratio=min(MOST_RATIO, friction.static_ratio),
+        offset=offset,
+        delay=delay,
+    )
+
+
+# In the order of ``Magnet``: bounds of each number, and what is added to it (or to its logarithm) so that the
+# unknown of a search is of the size of 1. Bounds of RELATIVE are factors of what the search begins with.
+LOW = np.array([0.3, 0.05, FASTEST_COIL, 0.3, -SIDES, 0.0, -WIDEST, STUCK, SHORTEST, 1.0, -9.0, 0.0])
+HIGH = np.array(
+    [5.0, 4.0, SLOWEST_COIL, 3.0, SIDES, WIDEST, WIDEST, 9.0, LONGEST, MOST_RATIO, 9.0, LONGEST_DELAY]
+)
+SHIFT = np.array([1.0, 2.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0, 0.0, 1.0, 1.0])
+UNITS = np.array([1.0, 1.0, 1e-3, 1.0, 1.0, 1.0, 1.0, 1.0, PRESLIDING, 1.0, 1.0])  # of all but the delay
+RELATIVE = np.isin(Magnet._fields, ("speed", "gain"))
+LOGARITHMIC = np.isin(Magnet._fields, ("speed", "damping", "coil", "presliding"))
+
+
+def unknowns(m: Floats | Magnet, period: float) -> Floats:
+    """``m`` as unknowns of a search, all of the size of 1; its delay is counted in periods."""
+    scaled = np.array(m) / np.append(UNITS, period)
+    return SHIFT + np.where(LOGARITHMIC, np.log(np.where(LOGARITHMIC, scaled, 1.0)), scaled)
+
+
+def of_unknowns(x: Floats, period: float) -> Magnet:
+    """The valve of ``unknowns``."""
+    moved = x - SHIFT
+    numbers = np.where(LOGARITHMIC, np.exp(np.where(LOGARITHMIC, moved, 0.0)), moved)
+    return Magnet(*(numbers * np.append(UNITS, period)).tolist())
+
+
+def refined(
+    begin: Magnet,
+    period: float,
+    errors: Callable[[Magnet], Floats],
+    tell: Callable[[], None] = lambda: None,
+) -> Magnet:
+    """The valve near ``begin`` whose ``errors``, over what is allowed, are least.
+
+    ``tell`` is called before each simulation.
+    """
+    factors = np.where(RELATIVE, np.array(begin), 1.0)
+    low, high = (unknowns(bound * factors, period) for bound in (LOW, HIGH))
+    inside = np.clip(unknowns(begin, period), low + INSIDE * (high - low), high - INSIDE * (high - low))
+
+    def residual(x: Floats) -> Floats:
+        tell()
+        return errors(of_unknowns(x, period))
+
+    done = scipy.optimize.least_squares(
+        residual, inside, bounds=(low, high), diff_step=STEP, x_scale="jac", loss="soft_l1",
+        max_nfev=MOST_EVALUATIONS, ftol=CONVERGED,
+    )  # fmt: skip
+    return of_unknowns(done.x, period)
+
+
 def _with_solenoids(
     tests: _Tests, fits: Sequence[Fit], linear: Plant, friction: Friction, offset: float
 ) -> Plant:
@@ -324,10 +451,10 @@ def _with_solenoids(
         return Plant(m.model, level, m.offset, m.delay, math.inf, m.presliding, m)
 
     def searched(own: _Tests, m: Magnet) -> Plant:
-        found = magnet.refined(m, own.period, lambda m: own.errors(plant(m)), own.tell, own.threads)
+        found = refined(m, own.period, lambda m: own.errors(plant(m)), own.tell)
         return tests.judged(plant(found))
 
-    guess = magnet.first_guess(begin.model, friction, -offset, begin.delay)
+    guess = first_guess(begin.model, friction, -offset, begin.delay)
     nearest = searched(tests, guess)
     if nearest.error > SUSPECT:  # than a search over all tests the last one alone leads nearer to the valve
         alone = searched(tests._replace(records=tests.records[-1:], weights=tests.weights[-1:]), guess)
@@ -335,9 +462,12 @@ def _with_solenoids(
             nearest = _best([nearest, searched(tests, alone.magnet)])
     m = nearest.magnet
     assert m is not None
+    if abs(m.overlap) < TOLD_OVERLAP:
+        # A fit is not so exact, and with an underlap, however small, the valve has twice the gain at 0 V.
+        nearest = tests.judged(plant(m := m._replace(overlap=0.0)))
     if nearest.error >= SIMPLER * linear.error:
         return linear
-    if m.coil > magnet.AT_BOUND * magnet.FASTEST_COIL:
+    if m.coil > AT_BOUND * FASTEST_COIL:
         return nearest
     squared = m.speed**2
     model = TransferFunction((m.gain * squared,), (1.0, 2.0 * m.damping * m.speed, squared))

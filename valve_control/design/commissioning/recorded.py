@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy.optimize
+import scipy.signal
 
 from valve_control.arrays import Floats
 from valve_control.control.parameters import build
@@ -26,7 +27,7 @@ from valve_control.control.simulation.robustness import Quantity, Settings
 from valve_control.design.commissioning.plant import first_reading, positions
 from valve_control.design.identification import dead_time, lvdt, recorded
 from valve_control.design.identification.experiment import Experiment, held
-from valve_control.design.tuning import box as boxes
+from valve_control.design.tuning import request
 from valve_control.design.tuning.trial import TuningMotion
 from valve_control.parameter import ParameterError, Values, number, updated
 from valve_control.recordings import recording
@@ -136,26 +137,18 @@ def run(
     controller = updated(CONTROLLER, controller, {"sample_period": tested.period, "u_max": u_max})
     command = recording.align(valve).command
     wanted = motion(command, tested.period, number(controller, "command_limit"))
-    if float(wanted.max() - wanted.min()) == 0.0:
-        raise ParameterError(f"{name} has no excitation: its command does not move")
-    boxes.check_reach(fitted.values, float(wanted[abs(wanted).argmax()]), f"of {name}")
     source = {**settings["command_source"], "sample_period": tested.period}
-    own = {"controller": controller, "valve_simulator": fitted.values, "command_source": source}
-    return RecordedRun(
-        fitted=fitted,
-        settings={**settings, **own},
-        box=box(fitted, quantities),
-        motion=TuningMotion(name, wanted),
-        notes=[*fitted.notes, *tested.notes],
-    )
+    own = {**settings, "controller": controller, "valve_simulator": fitted.values, "command_source": source}
+    moved = request.motion_of(name, wanted, own)
+    return RecordedRun(fitted, own, box(fitted, quantities), moved, [*fitted.notes, *tested.notes])
 
 
 def as_dict(fitted: RecordedValve) -> dict[str, Any]:
     """For JSON: the quantities of the fitted valve, and the rms residual [V] of its readings."""
-    rows = {one.name: one._asdict() for one in fitted.learnt}
-    for row in rows.values():
-        del row["name"], row["unit"]
-        row["bound"] = row["bound"] if row["determined"] else None
+    rows = {
+        name: {"value": value, "bound": bound if determined else None, "determined": determined}
+        for name, _, value, bound, determined in fitted.learnt
+    }
     return {"valve": rows, "residual": fitted.residual}
 
 
@@ -228,8 +221,8 @@ def _with(base: Values, quantities: Mapping[str, float]) -> Values:
     gain, speed = quantities.get("gain", 1.0), quantities.get("speed", 1.0)
     others = {name: value for name, value in quantities.items() if name not in FACTORS}
     if "lvdt.delay" in others and _has_coil(base):
-        own = dead_time.divided(others["lvdt.delay"], number(base, "lvdt.delay"))
-        others.update({"lvdt.delay": own.sensor, BEFORE_COIL: own.actuator})
+        behind = min(others["lvdt.delay"], number(base, "lvdt.delay"))
+        others |= {"lvdt.delay": behind, BEFORE_COIL: others["lvdt.delay"] - behind}
     scaled = registry.chosen(base).scaled(base, gain, speed)
     return updated(NODES["valve_simulator"], base, {**others, **scaled})
 
@@ -302,15 +295,12 @@ def _standing(reading: Floats, period: float) -> float | None:
 def _alike(rest: Floats, period: float) -> float:
     """Samples of residual that tell as much as one: they are alike over a while, as a model's errors are."""
     centred = rest - np.mean(rest)
-    size = 1 << (2 * len(centred) - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
-    correlation = np.fft.irfft(spectrum, size)[: max(2, round(LAGS / period))]
+    correlation = scipy.signal.correlate(centred, centred, method="fft")[len(centred) - 1 :]
+    correlation = correlation[: max(2, round(LAGS / period))]
     if correlation[0] <= 0.0:
         return 1.0
-    correlation = correlation / correlation[0]
-    ends = np.flatnonzero(correlation < 0.05)
-    end = int(ends[0]) if len(ends) else len(correlation)
-    return float(1.0 + 2.0 * np.sum(correlation[1:end]))
+    end = int(np.argmax(np.append(correlation, 0.0) < 0.05 * correlation[0]))
+    return float(1.0 + 2.0 * np.sum(correlation[1:end]) / correlation[0])
 
 
 def motion(command: Floats, period: float, limit: float, longest: float = 8.0) -> Floats:

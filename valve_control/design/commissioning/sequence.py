@@ -25,6 +25,7 @@ from valve_control.design.commissioning.gains import TunedGains, Verification, V
 from valve_control.design.commissioning.plant import Plant
 from valve_control.design.identification import dead_time, lvdt
 from valve_control.design.identification.response import Response
+from valve_control.design.identification.result import plain
 from valve_control.design.tuning import limits, tuner, verification
 from valve_control.design.tuning.tuner import Tuned
 from valve_control.parameter import ParameterError, Value, Values, number
@@ -198,12 +199,11 @@ class Commissioning:
         way = spread(np.concatenate([tests.slow.latency, tests.sine.latency]))
         notes = [
             *tests.response.notes,
-            *_about_plant(tests.plant),
             *known.notes,
             *refusals,
             *dead_time.way_notes(way),
             *gains.about_late(verified.record),
-            *_about_the_end(self._plan, chosen.tuned, tests.rest, verified.ended, self._pauses),
+            *_notes(self._plan, tests, chosen.tuned, verified.ended, self._pauses),
         ]
         return Result(
             plan=self._plan,
@@ -246,7 +246,7 @@ class Commissioning:
 
         def fit(tell: Callable[..., None]) -> tuple[Response, Plant]:
             response, fits, friction = evaluation.linear(sine, planned, static, rest, tell)
-            begin = [slow, sine], fits, friction, static.offset, rest, tell, self._plan.threads
+            begin = [slow, sine], fits, friction, static.offset, rest, tell
             return response, plant.fitted(*begin, lambda: evaluation.higher(response, evaluation.RICHER)[0])
 
         with self._timed("model"):
@@ -547,8 +547,9 @@ class Commissioning:
             self._seconds[name] = self._seconds.get(name, 0.0) + time.monotonic() - began
 
 
-def _about_plant(fitted: Plant) -> Iterator[str]:
-    """Sentences about readings that the model does not describe, and about one that is not linear."""
+def _notes(plan: Plan, tests: Tests, tuned: Tuned, ended: str, pauses: Mapping[str, int]) -> Iterator[str]:
+    """Sentences on the model, on parameters from before that misbehaved, on pauses, and on a c_u too high."""
+    fitted = tests.plant
     if fitted.error > plant.EXPLAINED:
         yield (
             f"the model misses the readings by {fitted.error:.2g} times what noise and "
@@ -567,12 +568,6 @@ def _about_plant(fitted: Plant) -> Iterator[str]:
             "a linear valve whose friction has bristles describes the readings, and none without them: "
             f"presliding {1e3 * fitted.presliding:.2g} mV; such a spool may swing on its bristles"
         )
-
-
-def _about_the_end(
-    plan: Plan, tuned: Tuned, rest: Rest, ended: str, pauses: Mapping[str, int]
-) -> Iterator[str]:
-    """Sentences on parameters from before that misbehaved, on pauses, and on a c_u that had to give way."""
     if ended:
         yield f"with the parameters from before the same motion was ended ({ended}): they are no rival"
     if pauses:
@@ -581,8 +576,8 @@ def _about_the_end(
     if tuned.chatter is not None and tuned.chatter > plan.chatter:
         least = min(point.chatter for point in tuned.front)
         yield (
-            f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * rest.noise:.2g} mV of "
-            f"noise (least of {tuned.tried} sets: {least:.3g}); those of least error up to "
+            f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * tests.rest.noise:.2g} mV "
+            f"of noise (least of {tuned.tried} sets: {least:.3g}); those of least error up to "
             f"{tuned.chatter:.3g} are taken; --max-chatter sets a limit that is kept in any case"
         )
 
@@ -590,27 +585,20 @@ def _about_the_end(
 def as_dict(result: Result) -> dict[str, Any]:
     """For JSON."""
     verified, tests = result.verification, result.tests
-    valve, response = tests.plant, tests.response
+    valve = tests.plant
     return {
-        "limits": {"voltage": result.plan.limits.voltage, "travel": result.plan.limits.travel},
-        "rest": tests.rest._asdict(),
-        "static": tests.static._asdict(),
-        "response": {
-            "frequency_hz": response.frequency,
-            "real": response.value.real,
-            "imaginary": response.value.imag,
-            "deviation": response.deviation,
-            "coherence": response.coherence,
-        },
+        "limits": plain(result.plan.limits),
+        "rest": plain(tests.rest),
+        "static": plain(tests.static),
+        "response": tests.response.as_dict(),
         "valve": {
-            "numerator": list(valve.model.numerator),
-            "denominator": list(valve.model.denominator),
+            **plain(valve.model),
             "static_gain": valve.model.static_gain,
             "delay_s": valve.delay,
             "offset": valve.offset,
-            "friction": valve.friction._asdict(),
+            "friction": plain(valve.friction),
             "presliding": valve.presliding,
-            "solenoids": None if valve.magnet is None else valve.magnet._asdict(),
+            "solenoids": plain(valve.magnet),
             "error": valve.error,
         },
         "chatter_limit": {"wanted": result.plan.chatter, "kept": result.tuned.chatter},
@@ -618,10 +606,10 @@ def as_dict(result: Result) -> dict[str, Any]:
         "tuned": tuner.as_dict(result.tuned),
         "applied": result.applied,
         "verification": {
-            "measured": verified.measured._asdict(),
-            "simulated": verified.expected._asdict(),
-            "measured_before": None if verified.before is None else verified.before._asdict(),
-            "simulated_before": None if verified.former is None else verified.former._asdict(),
+            "measured": plain(verified.measured),
+            "simulated": plain(verified.expected),
+            "measured_before": plain(verified.before),
+            "simulated_before": plain(verified.former),
             "unseen_valves": verification.as_dict(result.tuned.chosen.verified),
         },
         "notes": result.notes,

@@ -11,10 +11,8 @@ import scipy.signal
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.identification import first_gains, rational, theta
-from valve_control.design.identification.bode import held_response
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
-from valve_control.design.identification.response import Response
 from valve_control.design.identification.result import Identification
 from valve_control.parameter import (
     Parameter,
@@ -74,9 +72,7 @@ def valve(changes: Values) -> Identification:
         half *= 0.5
         magnet = first_gains.Magnet(coil, half, 0.01 * more)
         f = np.geomspace(0.05 * frequency, min(5.0 * frequency, 0.4 / period), FREQUENCIES)
-        value = held_response(model, f, period)
-        exact = Response(f, value, CERTAIN * np.abs(value), np.ones(FREQUENCIES), period, "data sheet", ())
-        second = rational.fit(exact, 2).model
+        second = rational.fit(rational.exact(model, f, period, 0.0, CERTAIN), 2).model
         simulated = {
             "valve": "solenoid",
             "solenoid.natural_frequency": frequency,

@@ -8,7 +8,6 @@ true spool off by the dead time in question.
 """
 
 import math
-from typing import NamedTuple
 
 from valve_control.control.analysis.timing import Spread
 from valve_control.parameter import Parameter
@@ -17,25 +16,11 @@ OF_SENSOR = Parameter("--sensor-delay", 0.0, "s", "dead time of an LVDT with its
 LEAST = 1e-6  # s  that any test tells
 
 
-class DeadTime(NamedTuple):
-    """A dead time by its places."""
-
-    sensor: float  # s
-    actuator: float  # s
-
-
-def divided(total: float, sensor: float) -> DeadTime:
-    """A ``total`` dead time [s] of which the ``sensor`` [s] has its own, and the actuator the rest."""
-    behind = min(total, sensor)
-    return DeadTime(behind, total - behind)
-
-
 def notes(total: float, sensor: float) -> list[str]:
     """Where a ``total`` dead time [s] is counted, and the error that a wrong choice makes, as a sentence."""
-    own = divided(total, sensor)
-    if own.actuator < LEAST:
+    if total - sensor < LEAST:
         return []
-    late = f"{1e3 * own.actuator:.3g} ms"
+    late = f"{1e3 * (total - sensor):.3g} ms"
     return [
         f"{late} of dead time count as the actuator's (--sensor-delay says how much is the sensor's): "
         "readings alone do not tell the two apart, and where the choice is wrong the true spool stands off "

@@ -22,7 +22,6 @@ from valve_control.parameter import ParameterError, Values, defaults, number, up
 
 DEFAULTS = {"scenario": "stepped_sine", "frequency": 0.5, "end_frequency": 100.0, "sweep_time": 60.0}
 ROOM = 0.4  # times the sampling frequency, above which no frequency is tried unasked
-LONGEST = 50_000_000  # samples
 SPAN = 5.0  # highest over lowest frequency that a model needs at least
 HELD_TRAVEL = 0.1  # V, and
 HELD_GAIN = 0.25  # V/V, below both of which a spool may be held by friction: its bristles give a few 0.01 V
@@ -113,8 +112,7 @@ def test_values(changes: dict[str, object], period: float) -> Values:
     elif values["scenario"] == "triangle":
         length = number(values, "cycles") / number(values, "frequency")
     duration = number(values, "start") + length
-    if duration > LONGEST * period:
-        raise ParameterError(f"the test takes {duration:.4g} s, which is more than {LONGEST} samples")
+    build.check_memory(duration / period)
     return updated(COMMAND, values, {"duration": duration})
 
 

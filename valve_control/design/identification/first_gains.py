@@ -23,7 +23,6 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import models, valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
-from valve_control.design.identification import dead_time
 from valve_control.design.identification.characteristic import Characteristic
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
@@ -131,14 +130,10 @@ def _safe(law: str, known: KnownValve, corners: list[valve.Params]) -> Values:
 
 def _corners(known: KnownValve) -> Iterator[valve.Params]:
     """The identified valve, and the corners of the box around it."""
-    surplus = len(known.model.denominator) - len(known.model.numerator)
     for gain, speed, later in [(1.0, 1.0, 0.0), *product(GAINS, SPEEDS, LATER)]:
-        denominator = tuple(c * speed**i for i, c in enumerate(known.model.denominator))
-        numerator = tuple(c * speed ** (i + surplus) for i, c in enumerate(known.model.numerator))
+        model = models.faster(known.model, gain, speed)
         lvdt = IDEAL._replace(delay=known.delay / known.period + later)
-        yield valve.design(
-            TransferFunction(numerator, denominator), known.period, known.u_max, gain, valve.FREE, lvdt
-        )
+        yield valve.design(model, known.period, known.u_max, 1.0, valve.FREE, lvdt)
 
 
 def _pid(known: KnownValve, share: float) -> Values:
@@ -200,7 +195,7 @@ def dcarc_values(known: KnownValve, share: float = 1.0) -> Values:
     slower: Values = {}
     if share < 1.0:  # the disturbance's estimate is a part of the loop too
         slower["dcarc.disturbance_rate"] = share**2 * number(own, "dcarc.disturbance_rate")
-    behind, before = dead_time.divided(known.delay, known.sensor_delay)
+    behind = min(known.delay, known.sensor_delay)
     return rounded(
         {
             **(_bristles(known.friction) if known.friction is not None else {}),
@@ -209,7 +204,7 @@ def dcarc_values(known: KnownValve, share: float = 1.0) -> Values:
             "dcarc.numerator": list(model.numerator),
             "dcarc.denominator": list(model.denominator),
             "dcarc.delay": behind,
-            "dcarc.actuator_delay": before,
+            "dcarc.actuator_delay": known.delay - behind,
             "dcarc.lvdt_noise": max(known.lvdt.noise, QUIETEST),
             "dcarc.lvdt_resolution": known.lvdt.resolution,
             "dcarc.voltage_weight": number(own, "dcarc.voltage_weight") * gain**2 / share**2,

@@ -59,7 +59,7 @@ def identified(tested: Experiment, triangle: Experiment | None, request: Request
     rubbing, curve = None, None
     for _ in range(0 if triangle is None else ROUNDS):
         assert triangle is not None
-        rubbing, curve = characteristic.with_friction(
+        rubbing, curve = characteristic.friction_and_curve(
             triangle, friction.lag_of(fits[-1].model, fits[-1].delay)
         )
         if tested.segments:

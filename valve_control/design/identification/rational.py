@@ -109,15 +109,13 @@ class _Form(NamedTuple):
     def stable(self, y: Floats) -> Floats:
         """The unknowns of numerator over static denominator, logarithms of stable factors, and dead time."""
         n, end = self.zeros + 1, len(y) - self.delayed
-        below = np.ones(1)
-        for i in range(n, end, 2):
-            below = np.polymul(below, np.append(1.0, np.exp(y[i : min(i + 2, end)])))
+        below = product(y[n:end])
         return np.concatenate([y[:n] * below[-1], below[1:], y[end:]])
 
     def minimised(self, start: Floats, weight: Floats, latest: float) -> Floats:
         """The unknowns from ``start`` on that make the weighted errors least; dead time up to ``latest``."""
         n, end = self.zeros + 1, len(start) - self.delayed
-        y = np.concatenate([start[:n] / start[end - 1], _factors(start[n:end]), start[end:]])
+        y = np.concatenate([start[:n] / start[end - 1], factors(start[n:end]), start[end:]])
         low, high = np.full(len(y), -np.inf), np.full(len(y), np.inf)
         low[n:end], high[n:end] = -WIDEST, WIDEST
         if self.delayed:
@@ -139,7 +137,21 @@ class _Form(NamedTuple):
         return self.stable(search.x)
 
 
-def _factors(below: Floats) -> Floats:
+def exact(model: TransferFunction, frequency: Floats, period: float, delay: float, unsure: float) -> Response:
+    """The response of a ``model`` at ``frequency`` [Hz], which is ``unsure`` by this part of it."""
+    value = held_response(model, frequency, period, delay)
+    return Response(frequency, value, unsure * np.abs(value), np.ones(len(value)), period, "model", ())
+
+
+def product(logarithms: Floats) -> Floats:
+    """The stable denominator whose factors these ``logarithms`` are."""
+    below = np.ones(1)
+    for i in range(0, len(logarithms), 2):
+        below = np.polymul(below, np.append(1.0, np.exp(logarithms[i : i + 2])))
+    return below
+
+
+def factors(below: Floats) -> Floats:
     """Logarithms of the factors of a stable denominator, whose coefficients behind the leading 1 are given.
 
     Those of the second degree come first, of pairs of poles; real ones are paired as they are near.
@@ -147,11 +159,11 @@ def _factors(below: Floats) -> Floats:
     poles = np.asarray(np.roots(np.append(1.0, below)), dtype=np.complex128)
     pairs = [p for p in poles if p.imag > 1e-12 * abs(p)]
     real = sorted((-p.real for p in poles if abs(p.imag) <= 1e-12 * abs(p)), reverse=True)
-    factors = [(-2.0 * p.real, abs(p) ** 2) for p in pairs]
+    seconds = [(-2.0 * p.real, abs(p) ** 2) for p in pairs]
     while len(real) >= 2:
         first, second = real.pop(), real.pop()
-        factors.append((first + second, first * second))
-    return np.log([c for pair in sorted(factors, key=lambda pair: pair[1]) for c in pair] + real)
+        seconds.append((first + second, first * second))
+    return np.log([c for pair in sorted(seconds, key=lambda pair: pair[1]) for c in pair] + real)
 
 
 def fit(
@@ -210,9 +222,8 @@ def _corner_bounds(form: _Form, x: Floats, spread: Floats) -> Corners:
     def at(x: Floats) -> Floats:
         return np.array(model_corners(*form.model(x)), dtype=np.float64)  # None is NaN
 
-    steps = np.diag(1e-4 * np.maximum(np.abs(x), 0.01))
-    slopes = np.array([(at(x + step) - at(x)) / np.sum(step) for step in steps])
-    bounds = np.linalg.norm(slopes.T @ spread, axis=1)
+    slopes = scipy.optimize.approx_fprime(x, at, 1e-4 * np.maximum(np.abs(x), 0.01))
+    bounds = np.linalg.norm(slopes @ spread, axis=1)
     return Corners(*(float(bound) if np.isfinite(bound) else None for bound in bounds))
 
 

@@ -9,7 +9,7 @@ belongs to the model that is fitted (``bode.held_response``).
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -69,6 +69,16 @@ class Response(NamedTuple):
     period: float  # s
     method: str  # stepped sine or local polynomials
     notes: tuple[str, ...]  # frequencies left out, and why
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "frequency_hz": self.frequency,
+            "real": self.value.real,
+            "imaginary": self.value.imag,
+            "deviation": self.deviation,
+            "coherence": self.coherence,
+        }
 
 
 def stepped(

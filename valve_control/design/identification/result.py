@@ -195,7 +195,8 @@ def yaml_text(found: Identification) -> str:
             f"Order {best.order}, fit error {100 * best.error:.3g} % rms; coefficients {bounds}",
             *_coefficients(best, "  {0} = {1:.7g} ± {2:.2g}"),
         ]
-    return parameter_file(parameters(found), [*comments, STABLE])
+    sections = {f"/**/{node}" if node else "/**": values for node, values in parameters(found).items()}
+    return as_yaml(sections, [*comments, STABLE])
 
 
 def linearisation_text(found: Identification) -> str:
@@ -205,8 +206,8 @@ def linearisation_text(found: Identification) -> str:
     """
     assert found.curve is not None
     values = characteristic.parameters(found.curve, found.known.model.static_gain, found.known.u_max)
-    return parameter_file(
-        {"controller": rounded(values)},
+    return as_yaml(
+        {"/**/controller": rounded(values)},
         [
             f"Inverse of the static curve, from: {found.source}",
             *characteristic.text(found.curve).splitlines(),
@@ -215,19 +216,14 @@ def linearisation_text(found: Identification) -> str:
     )
 
 
-def parameter_file(tree: dict[str, Values], comments: list[str]) -> str:
-    """A ROS 2 parameter file with a section for each node of any namespace; "" is all nodes."""
-    return as_yaml({f"/**/{node}" if node else "/**": values for node, values in tree.items()}, comments)
-
-
 def model_dict(model: TransferFunction) -> dict[str, Any]:
     """A transfer function for JSON."""
     return {"numerator": list(model.numerator), "denominator": list(model.denominator)}
 
 
-def corners_dict(corners: Corners) -> dict[str, float | None]:
-    """Frequencies of -3 dB and -90° for JSON."""
-    return {"minus_3db_hz": corners.minus_3db, "minus_90_hz": corners.minus_90}
+def corners_dict(corners: Corners, what: str = "") -> dict[str, float | None]:
+    """Frequencies of -3 dB and -90°, or ``what`` of them this is, for JSON."""
+    return {f"{name}{what}_hz": frequency for name, frequency in corners._asdict().items()}
 
 
 def fit_dict(fit: Fit, measured: Response) -> dict[str, Any]:
@@ -247,8 +243,7 @@ def fit_dict(fit: Fit, measured: Response) -> dict[str, Any]:
         "error": fit.error,
         "model_error": fit.model_error,
         **corners_dict(_corners(fit, measured)),
-        "minus_3db_bound_hz": fit.corner_bounds.minus_3db if fit.bounded else None,
-        "minus_90_bound_hz": fit.corner_bounds.minus_90 if fit.bounded else None,
+        **corners_dict(fit.corner_bounds if fit.bounded else UNBOUNDED, "_bound"),
     }
 
 
@@ -266,11 +261,7 @@ def as_dict(found: Identification) -> dict[str, Any]:
     else:
         about["response"] = {
             "method": m.method,
-            "frequency_hz": m.frequency,
-            "real": m.value.real,
-            "imaginary": m.value.imag,
-            "deviation": m.deviation,
-            "coherence": m.coherence,
+            **m.as_dict(),
             **corners_dict(rational.measured_corners(m, known.model.static_gain)),
         }
         about["fits"] = [fit_dict(fit, m) for fit in found.fits]

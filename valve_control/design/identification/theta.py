@@ -8,8 +8,7 @@ import numpy as np
 
 from valve_control.arrays import Floats
 from valve_control.control.plant.models import TransferFunction
-from valve_control.design.identification.bode import held_response
-from valve_control.design.identification.rational import Fit, fit
+from valve_control.design.identification.rational import Fit, exact, fit
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError, Values
 
@@ -80,13 +79,9 @@ def _up_to(measured: Response, best: Fit, highest: float) -> list[Floats]:
     highest = min(highest, float(measured.frequency[-1]))
     if highest <= 3.0 * lowest:
         return []
-    frequency = np.geomspace(lowest, highest, 30)
-    value = held_response(best.model, frequency, measured.period)
-    exact = Response(
-        frequency, value, 1e-6 * np.abs(value), np.ones(30), measured.period, measured.method, ()
-    )
+    there = np.geomspace(lowest, highest, 30)
     try:
-        b0, a1, a0 = fit(exact, 2).values
+        b0, a1, a0 = fit(exact(best.model, there, measured.period, 0.0, 1e-6), 2).values
     except ParameterError:
         return []
     return [np.array([a1, a0, b0])]

@@ -91,22 +91,19 @@ def bounding(study: Study) -> list[Any]:
     return [seen for plant in plants for seen in stability.behind_curve(controller, plant)]
 
 
-def with_dead_time(law: Law, settings: Settings, box: Sequence[Quantity]) -> tuple[Values, float | None]:
-    """The controller's values with the dead time [s] that ``law`` may expect, and that time.
+def with_dead_time(law: Law, settings: Settings, box: Sequence[Quantity]) -> tuple[Values, str]:
+    """The controller's values with the dead time that ``law`` may expect, and a sentence about that.
 
     It is the middle of what the valves of ``box`` have, or that of the valve of ``settings``. The dead time
-    before the coil of a solenoid valve is the law's ``actuator_delay``. None: the law does not ask for it,
-    has been told another than 0 (or one of the actuator), or cannot be built with it.
+    before the coil of a solenoid valve is the law's ``actuator_delay``. The values stay if the law does not
+    ask for it, has been told another than 0 (or one of the actuator), or cannot be built with it.
     """
-    values = settings["controller"]
-    known = [name for name in (law.dead_time, f"{law.name}.actuator_delay") if name in values]
-    if not law.dead_time or any(number(values, name) != 0.0 for name in known):
-        return values, None
-    expected = next(
-        (0.5 * (q.low + q.high) for q in box if q.name == "lvdt.delay"),
-        number(settings["valve_simulator"], "lvdt.delay"),
-    )
-    plant, actuator = settings["valve_simulator"], f"{law.name}.actuator_delay"
+    values, plant = settings["controller"], settings["valve_simulator"]
+    actuator = f"{law.name}.actuator_delay"
+    if not law.dead_time or any(values.get(name, 0.0) != 0.0 for name in (law.dead_time, actuator)):
+        return values, ""
+    ranges = {q.name: 0.5 * (q.low + q.high) for q in box}
+    expected = ranges.get("lvdt.delay", number(plant, "lvdt.delay"))
     changes: dict[str, Any] = {law.dead_time: expected}
     if plant["valve"] == "solenoid" and actuator in values:
         changes[actuator] = number(plant, "solenoid.dead_time")
@@ -114,8 +111,9 @@ def with_dead_time(law: Law, settings: Settings, box: Sequence[Quantity]) -> tup
         changed = updated(CONTROLLER, values, changes)
         law.build(changed)
     except ParameterError:
-        return values, None
-    return changed, expected or None
+        return values, ""
+    note = f"{law.dead_time} {expected:g} s, the expected lvdt.delay; --set {law.dead_time}=… says otherwise"
+    return changed, note if expected else ""
 
 
 def with_model(law: Law, settings: Settings, given: Container[str]) -> tuple[Values, str]:

@@ -67,10 +67,6 @@ def _margin(name: str, unit: str, scale: float, wanted: str, margin: str) -> Lim
     return Limit(name, unit, scale, False, MARGINS, wanted, reason, margin=margin)
 
 
-def _saturation(law: Law, problem: Problem, several: Sequence[GainSet], threads: Threads) -> list[float]:
-    return [float(np.mean(found.saturated)) for found in trial.run(law, problem, several, threads)]
-
-
 UNSTABLE = "a valve of the box makes the loop unstable (largest pole {value:.4f})"
 PEAK = "the sensitivity peaks at {value:.3g} dB, above {limit:g} dB"
 SWING = "in the loop friction sustains swings about rest of {value:.3g} V, above {limit:g} V"
@@ -93,12 +89,15 @@ LIMITS = (
     _margin("delay margin", "ms", 1e3, "delay_s", "delay_s"),
     Limit("sensitivity peak", "dB", 1.0, True, MARGINS, "sensitivity_db", PEAK, "sensitivity_db"),
     Limit("swing", "V", 1.0, True, MARGINS, "swing", SWING, "swing_v"),
-    Limit("saturation", "%", 100.0, True, KEPT, "saturated", SATURATED, measure=_saturation),
+    Limit(
+        "saturation", "%", 100.0, True, KEPT, "saturated", SATURATED,
+        measure=lambda *about: [float(np.mean(one.saturated)) for one in trial.run(*about)],
+    ),
     Limit("pause", "ms", 1e3, False, KEPT, "pause_s", PAUSE, measure=checks.unborne),
     Limit("not at rest", "%", 100.0, True, KEPT, 0.0, RESTLESS, measure=checks.restless_shares),
     Limit("overshoot", "%", 100.0, True, WISH, "overshoot", OVERSHOT, measure=checks.overshoots),
     Limit("chatter", "", 1.0, True, WISH, math.inf, LOUD),
-)
+)  # fmt: skip
 BY_NAME = {limit.name: limit for limit in LIMITS}
 
 
@@ -116,14 +115,6 @@ def of_margins(measured: Margins) -> dict[str, list[float]]:
 def worst(values: Mapping[str, Sequence[float]]) -> dict[str, float]:
     """The worst of the ``values`` for each limit."""
     return {name: float((np.max if BY_NAME[name].at_most else np.min)(v)) for name, v in values.items()}
-
-
-def margins_missed(limits: TuningLimits, found: Margins) -> list[str]:
-    """A sentence about each of the ``limits`` that the margins of the worst valve miss."""
-    wanted, values = asked(limits), worst(of_margins(found))
-    missed = [BY_NAME[name] for name, value in values.items() if BY_NAME[name].missed(value, wanted[name])]
-    reasons = [limit.sentence(values[limit.name], wanted[limit.name]) for limit in missed]
-    return reasons[:1] if missed and missed[0].margin == "radius" else reasons
 
 
 def violation(limits: TuningLimits, found: Margins, share: float = 1.0) -> float:

@@ -120,13 +120,9 @@ def _controller(
     for law in laws:
         if not recorded:
             values, note = box.with_model(law, {**settings, "controller": values}, chosen)
-            notes += [note] if note else []
-        values, expected = box.with_dead_time(law, {**settings, "controller": values}, quantities)
-        if expected is not None:
-            notes.append(
-                f"{law.dead_time} {expected:g} s, the expected lvdt.delay; --set {law.dead_time}=… says "
-                "otherwise"
-            )
+            notes.append(note)
+        values, note = box.with_dead_time(law, {**settings, "controller": values}, quantities)
+        notes.append(note)
     if "reshaping.form" not in chosen:  # a reference that brakes in time
         values = updated(CONTROLLER, values, {"reshaping.form": "braking"})
     limits = reshaping.limits(build.valve_model(plant), number(values, "u_max"))
@@ -135,7 +131,7 @@ def _controller(
         text = " and ".join(f"{name} {value}" for name, value in limits.items())
         notes.append(f"{text}, (6) and (7) of this valve; --set says otherwise")
         values = updated(CONTROLLER, values, limits)
-    return values, notes
+    return values, [note for note in notes if note]
 
 
 def budgets(task: Task, budget: int) -> list[int]:

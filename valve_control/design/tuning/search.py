@@ -71,9 +71,9 @@ class EvaluatedGains(NamedTuple):
 
     shares: tuple[float, ...]  # of the ranges
     gains: GainSet
-    error: float  # V
-    chatter: float
-    saturated: float
+    error: float = math.inf  # V
+    chatter: float = math.inf
+    saturated: float = math.inf
     overshoot: float | None = None  # -  of steps, median of the valves; None: not measured
 
     def within(self, most: float) -> bool:
@@ -130,17 +130,9 @@ def strategy(start: Floats, step: float, seed: int, population: int) -> Any:
     It stops when the costs of its generations agree to 1e-4. ``seed`` is that of numpy's global generator,
     which pycma draws from: the same calls in the same order give the same points.
     """
-    options = {
-        "seed": seed,
-        "popsize": population,
-        "verbose": -9,
-        "tolfun": 1e-4,
-        "tolfunhist": 1e-4,
-        "tolflatfitness": 20,
-    }
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return cma.CMAEvolutionStrategy(start, step, options)
+    tolerances = {"tolfun": 1e-4, "tolfunhist": 1e-4, "tolflatfitness": 20}
+    options = {"seed": seed, "popsize": population, "verbose": -9, **tolerances}
+    return cma.CMAEvolutionStrategy(start, step, options)
 
 
 class _Search:
@@ -177,7 +169,7 @@ class _Search:
             gains = trial.gains_at(self.free, self._problem.values, inside)
             if (away := self._violation(gains)) is None:
                 continue
-            missing[i], points[i] = away, EvaluatedGains(inside, gains, math.inf, math.inf, math.inf)
+            missing[i], points[i] = away, EvaluatedGains(inside, gains)
             self.missed += away > 0.0
             if away > FAR:
                 costs[i] = MISSED + away
@@ -243,9 +235,10 @@ class _Search:
         """
         layers = 0
         while True:
-            within = [p for p in self.points if p.within(self._most)]
-            unknown = [p for p in self.points if p.overshoot is None and not p.within(self._most)]
-            able = front([*within, *(unknown if layers < LAYERS else [])])
+            unknown = layers < LAYERS
+            able = front(
+                [p for p in self.points if p.within(self._most) or (unknown and p.overshoot is None)]
+            )
             most = self._most if able else math.inf
             if not able:
                 known = [p for p in self.points if p.overshoot is not None]
@@ -268,8 +261,8 @@ class _Search:
             self.points = [point for point in self.points if point.shares not in restless]
 
     def _with_overshoot(self, points: Sequence[EvaluatedGains]) -> list[EvaluatedGains]:
-        overshot = zip(points, self._values("overshoot", points), strict=True)
-        return [point._replace(overshoot=value) for point, value in overshot]
+        values = self._values("overshoot", points)
+        return [point._replace(overshoot=value) for point, value in zip(points, values, strict=True)]
 
     def _restless(self, points: Sequence[EvaluatedGains]) -> list[float]:
         """Share of the harder valves on which the loops of ``points`` do not come to rest.
@@ -362,20 +355,18 @@ class _Run:
     def go(self, chatter: float, until: float) -> None:
         """Go on under a limit of the chatter ``until`` so many sets were tried, or it has converged."""
         search = self._search
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            while search.tried < until and not self._strategy.stop():
-                asked = self._strategy.ask()
-                costs, keep = self._judged([self._whole(shares, self._level) for shares in asked], chatter)
-                self._strategy.tell(asked, costs)
-                self._wall = max(WALL, self._wall * (LOWER if keep[int(np.argmin(costs))] else HIGHER))
-                self._since += len(asked)
-                late = search.tried >= LATE * search.budget
-                if self._held is not None and self._since >= EVERY and late:
-                    self._since = 0
-                    rest = np.delete(self.best, self._held)
-                    self._judged([self._whole(rest, one) for one in LEVELS if one != self._level], chatter)
-                    self._level = float(self.best[self._held])
+        while search.tried < until and not self._strategy.stop():
+            asked = self._strategy.ask()
+            costs, keep = self._judged([self._whole(shares, self._level) for shares in asked], chatter)
+            self._strategy.tell(asked, costs)
+            self._wall = max(WALL, self._wall * (LOWER if keep[int(np.argmin(costs))] else HIGHER))
+            self._since += len(asked)
+            late = search.tried >= LATE * search.budget
+            if self._held is not None and self._since >= EVERY and late:
+                self._since = 0
+                rest = np.delete(self.best, self._held)
+                self._judged([self._whole(rest, one) for one in LEVELS if one != self._level], chatter)
+                self._level = float(self.best[self._held])
 
     def _whole(self, moved: Floats, level: float) -> Floats:
         return moved if self._held is None else np.insert(moved, self._held, level)
@@ -414,15 +405,15 @@ def search(
     ]
     sobol = scipy.stats.qmc.Sobol(len(free), rng=np.random.default_rng(seed))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a number of points that is no power of two
+        warnings.simplefilter("ignore")  # of pycma, and of a number of points that is no power of two
         scattered = sobol.random(min(SCATTERED, max(1, budget // 25)))
-    if held is not None:
-        scattered[:, held] = first[0][held]
-    costs, _ = run.judged([*first, *scattered], plan[0].chatter)
-    if len(free) == 1:  # no covariance to adapt
-        run.judged(list(np.linspace(0.0, 1.0, max(2, budget - run.tried))[:, None]), plan[0].chatter)
-    else:
-        run.go(plan, [*first, *scattered], costs)
+        if held is not None:
+            scattered[:, held] = first[0][held]
+        costs, _ = run.judged([*first, *scattered], plan[0].chatter)
+        if len(free) == 1:  # no covariance to adapt
+            run.judged(list(np.linspace(0.0, 1.0, max(2, budget - run.tried))[:, None]), plan[0].chatter)
+        else:
+            run.go(plan, [*first, *scattered], costs)
     run.front_at_rest()
     nearest = None if run.points or run.nearest is None else run.nearest[1]
     return SearchResult(run.points, run.tried, run.missed, run.values, nearest)

@@ -41,6 +41,11 @@ class Chosen(NamedTuple):
         """Whether verification accepts them."""
         return not self.verified.reasons
 
+    @property
+    def order(self) -> tuple[bool, int]:
+        """The better the smaller: gains that hold first, then those with the fewest notes."""
+        return not self.holds, len(self.verified.notes)
+
 
 class Tuned(NamedTuple):
     """Result for one law."""
@@ -130,11 +135,17 @@ def tuned(
         wishes.append(QUIET * max(chatter, least))
 
     @functools.cache
-    def hard(limit: str) -> bool:
-        if limit == "chatter":
+    def hard(name: str) -> bool:
+        if name == "chatter":
             return firm
-        able = [p for p in points if limit != "saturation" or p.saturated <= problem.limits.saturated]
-        return bool(able) or _shipped_keep(limit, law, problem, threads)
+        if any(name != "saturation" or p.saturated <= problem.limits.saturated for p in points):
+            return True
+        limit = limits.BY_NAME[name]
+        try:  # the gains from before
+            value = limit.value(law, problem, GainSet({}, 0.0), threads)
+        except ParameterError:
+            return False
+        return not limit.missed(value, limit.asked(problem.limits))
 
     for wanted in wishes:
         refused: list[EvaluatedGains] = []
@@ -147,8 +158,9 @@ def tuned(
             told(tried)
             limit = chatter if firm else wanted
             judged = verification.verified(law, unseen, point.gains, limit, threads, hard)
-            if chosen is None or _order(judged) < _order(chosen.verified):
-                chosen, kept = Chosen(point, judged), wanted
+            candidate = Chosen(point, judged)
+            if chosen is None or candidate.order < chosen.order:
+                chosen, kept = candidate, wanted
             if not judged.reasons and (notes or not judged.notes):
                 break
             refused.append(point)
@@ -176,11 +188,6 @@ def tuned(
 def _of_variant(variant: Mapping[str, Value], points: Sequence[EvaluatedGains]) -> list[EvaluatedGains]:
     changes = [{**variant, **point.gains.changes} for point in points]
     return [p._replace(gains=p.gains._replace(changes=own)) for p, own in zip(points, changes, strict=True)]
-
-
-def _order(judged: Verified) -> tuple[bool, int]:
-    """The better the smaller: gains that hold first, then those with the fewest notes."""
-    return bool(judged.reasons), len(judged.notes)
 
 
 def _within(
@@ -212,16 +219,6 @@ def _within(
 
 def _overshoot(point: EvaluatedGains) -> float:
     return math.inf if point.overshoot is None else point.overshoot
-
-
-def _shipped_keep(name: str, law: Law, problem: Problem, threads: Threads) -> bool:
-    """Whether ``law`` keeps the limit of this ``name`` with the gains that it had before the search."""
-    limit = limits.BY_NAME[name]
-    try:
-        value = limit.value(law, problem, GainSet({}, 0.0), threads)
-    except ParameterError:
-        return False
-    return not limit.missed(value, limit.asked(problem.limits))
 
 
 def parameters_of(law: str, values: Values, chosen: Chosen) -> Values:
