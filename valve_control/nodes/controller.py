@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the node `controller`: for each LVDT reading one step of the law and one voltage.
+"""Runs the node `controller` (controller_node.py): for each LVDT reading one step of the law and one voltage.
 
 With the parameter driver (one of `valve_driver`) it has the device itself: the reading comes from it and the
 voltage goes to it in one thread, and the topics follow. It then has the parameters of `valve_driver` too.

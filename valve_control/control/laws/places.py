@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Places of a law's functions in steps for any law; ``compiling.bind`` or ``compile_function`` fill them."""
+"""Places of a law's functions in steps for any law: ``watch.places_of`` says which functions fill them."""
 
 from typing import Any
 

@@ -147,7 +147,7 @@ class Supervisor:
         if law is not before or line != self._form[2]:
             own = {"hand_out": self._hand_out, "observe": self._observe}
             self._steps = watch.with_places({**watch.places_of(law, line), **own})
-            self._sample = self._steps.sample
+            self._sample = self._steps.sample  # watch.sample, with the functions of this law
         self._descriptor = law
         self._form = form
         self.name = m.name = name

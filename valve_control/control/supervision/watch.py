@@ -304,7 +304,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     fault, m.judged = lvdt.step(p.lvdt.judge, m.judged, reading, lost, m.voltage, blocked, elapsed)
     if fault != lvdt.SOUND:
         refuse(p, m, fault, lost)
-        return sent(p, m)
+        return voltage_in_force(p, m)
     gap = lost + m.trust.bridged
     if gap > 0:
         bridge(p, m, gap, reading)
@@ -316,9 +316,9 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
         back = recover(p, m, reading, gap > 0 or unpaced or m.now < m.pause.until)
         if not back:
             weigh(p, m, reading, applied, 1 + gap)
-            return sent(p, m)
+            return voltage_in_force(p, m)
     elif not answers(p, m, reading, 1 + gap):
-        return sent(p, m)
+        return voltage_in_force(p, m)
     if m.law is None:
         begin(p, m, reading)
     if not advance(p, m, 0, reading):
@@ -332,7 +332,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
         confront(p, m)
     if m.law is not None and p.cycles.cycling.amplitude > 0.0:
         watch_cycles(p, m, reading, voltage)
-    return sent(p, m)
+    return voltage_in_force(p, m)
 
 
 def overdue(p: Params, m: Memory, reading: float, lost: int, elapsed: float) -> int:
@@ -362,7 +362,7 @@ def is_behind(p: Params, m: Memory, elapsed: float) -> bool:
     return elapsed < OVERDUE * p.lvdt.period < behind
 
 
-def sent(p: Params, m: Memory) -> float:
+def voltage_in_force(p: Params, m: Memory) -> float:
     """Voltage [V] of the amplifier that is in force: 0 V while the law does not have the valve."""
     if m.law is None:
         return 0.0
