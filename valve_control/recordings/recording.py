@@ -224,7 +224,8 @@ def _valve(
     recorded, signals, pairs = clean(topics.sources, series, problems, table, received)
     doubts = list(problems)
     # Of several controllers the one whose state or journal is read.
-    kinds = {node.kind: node for node in nodes.values() if node.namespace == topics.namespace and node.kind}
+    near = [node for name, node in nodes.items() if name.rpartition("/")[0] == topics.namespace and node.kind]
+    kinds = {node.kind: node for node in near}
     own = nodes.get((topics.state or topics.journal).rpartition("/")[0])
     if own is not None and own.kind in kinds:
         kinds[own.kind] = own
