@@ -489,22 +489,13 @@ def test_a_table_that_cannot_be_used_is_refused_in_one_sentence(tmp_path, kind):
 
 
 def test_matlab_files_that_cannot_be_used(tmp_path):
-    cases = {
-        "hdf5": (
-            b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\x02IM" + b"\x89HDF\r\n\x1a\n",
-            "cannot be read",
-        ),
-        "torn": (
-            b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\x01IM" + b"\x0f\0\0\0\xff\0\0\0abc",
-            "not a MATLAB file",
-        ),
-        "words": (b"time,y\n1,2\n" * 20, "not a MATLAB file"),
-    }
-    for name, (content, words) in cases.items():
-        path = tmp_path / f"{name}.mat"
-        path.write_bytes(content)
-        with pytest.raises(BagError, match=words):
-            load(path, PLAIN)
+    hdf5 = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\x02IM" + b"\x89HDF\r\n\x1a\n"
+    torn = b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\x01IM" + b"\x0f\0\0\0\xff\0\0\0abc"
+    words, unknown = b"time,y\n1,2\n" * 20, "is not a MATLAB file"
+    for content, reason in ((hdf5, "cannot be read"), (torn, unknown), (words, unknown)):
+        (tmp_path / "log.mat").write_bytes(content)
+        with pytest.raises(BagError, match=reason):
+            load(tmp_path / "log.mat", PLAIN)
     savemat(tmp_path / "none.mat", {"Ts": 1.0, "name": "valve"})
     with pytest.raises(BagError, match=r"has no vector of numbers; it has Ts \(float\), name \(str\)"):
         load(tmp_path / "none.mat", PLAIN)

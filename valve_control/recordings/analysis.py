@@ -346,7 +346,6 @@ def _valve_dict(result: ValveAnalysis) -> dict[str, Any]:
             "left_out": result.left_out,
         }
     )
-    del about["lvdt_period"]["differs"]
     return about
 
 

@@ -191,14 +191,6 @@ def spread(time: Integers, sequence: Integers) -> Integers:
     return np.asarray(time[at] + moved, dtype=np.int64)
 
 
-class Cleaned(NamedTuple):
-    """Signals by part: spool_command, spool_position, valve_voltage."""
-
-    recorded: dict[str, Samples]  # everything
-    usable: dict[str, Samples]  # what is finite
-    pairs: Pairs | None  # where stamps do not tell which messages belong together
-
-
 def seconds(stamp: Integers, begin: int | Integers = 0) -> Floats:
     """Time [s] from ``begin`` to ``stamp`` [ns]."""
     return (stamp - begin).astype(np.float64) * 1e-9
@@ -210,9 +202,10 @@ def clean(
     problems: list[str],
     table: TableFile | None = None,
     received: bool = False,
-) -> Cleaned:
+) -> tuple[dict[str, Samples], dict[str, Samples], Pairs | None]:
     """Put the signals of one valve in order; what is left out is named in ``problems``.
 
+    Returns all samples by part, the finite ones, and pairs where stamps do not tell what belongs together.
     ``series``: their publish_time is of the clock of the recording; ``table``: they are columns of it;
     ``received``: their times are those at which they were recorded.
     """
@@ -248,7 +241,7 @@ def clean(
             )
         vague = pairs is not None and part in pairs.vague
         usable[part] = samples.pick(slice(0, 0)) if vague else samples if keep.all() else samples.pick(keep)
-    return Cleaned(recorded, usable, pairs)
+    return recorded, usable, pairs
 
 
 def unusable(topic: str, field: str, series: Series) -> list[str]:

@@ -4,7 +4,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,23 +14,17 @@ from valve_control.recordings.analysis_report import time_in
 from valve_control.recordings.recording import Aligned
 from valve_control.recordings.report import Figure, Notes, Report, index_table, plain
 
-
-class BagRun(NamedTuple):
-    """One valve of one bag, with its results."""
-
-    name: str  # bag and valve
-    valve: ValveAnalysis
-    left_out: list[str]
+BagRun = tuple[str, ValveAnalysis, list[str]]  # name of bag and valve, results, what is left out
 
 
 def runs(path: str, analysis: Analysis) -> list[BagRun]:
     """The valves of a bag."""
     bag = Path(path).stem if Path(path).is_file() else Path(path).resolve().name
     return [
-        BagRun(
-            name=f"{bag}/{name}" if len(analysis.valves) > 1 else bag,
-            valve=valve._replace(valve=None),  # type: ignore[arg-type]  # the samples, which nothing here reads
-            left_out=[f"{bag}: {text}" for text in (*analysis.left_out, *valve.left_out)],
+        (
+            f"{bag}/{name}" if len(analysis.valves) > 1 else bag,
+            valve._replace(valve=None),  # type: ignore[arg-type]  # the samples, which nothing here reads
+            [f"{bag}: {text}" for text in (*analysis.left_out, *valve.left_out)],
         )
         for name, valve in analysis.valves.items()
     ]
@@ -52,11 +45,11 @@ def _overlay(signals: Aligned, over: Aligned) -> tuple[float, str]:
 
 def report(runs: Sequence[BagRun]) -> Report:
     """Report of several runs, each laid over the first one with readings; with notes and indices of each."""
-    names = [run.name for run in runs]
-    over = next((run.valve.signals for run in runs if run.valve.signals is not None), None)
+    names = [name for name, *_ in runs]
+    over = next((valve.signals for _, valve, _ in runs if valve.signals is not None), None)
     rows, moves, about = [], [], []
     positions, errors, voltages = [], [], []
-    for i, (name, (_, valve, left_out)) in enumerate(zip(names, runs, strict=True)):
+    for i, (name, valve, left_out) in enumerate(runs):
         name += f" ({names[: i + 1].count(name)})" * (names.count(name) > 1)
         shift_s, by = None, ""
         if valve.signals is not None and over is not None:
@@ -91,7 +84,7 @@ def report(runs: Sequence[BagRun]) -> Report:
         "valve_control: bags compared",
         {"runs": plain(about)},
         {
-            "Indices": [index_table(rows), Notes([text for run in runs for text in run.left_out])],
+            "Indices": [index_table(rows), Notes([text for _, _, left_out in runs for text in left_out])],
             "Signals, overlaid by their motion": [*moves, Figure(plots)],
         },
     )

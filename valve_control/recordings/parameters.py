@@ -40,11 +40,6 @@ class Node(NamedTuple):
     changes: list[Change]
 
     @property
-    def namespace(self) -> str:
-        """Namespace of the node, the part of its name before the last slash."""
-        return self.name.rpartition("/")[0]
-
-    @property
     def missing(self) -> int:
         """Parameters of a node of this package whose values at the beginning the bag does not have."""
         return sum(parameter.name not in self.initial for parameter in NODES.get(self.kind, ()))

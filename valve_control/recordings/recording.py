@@ -78,7 +78,6 @@ class ValveRecording(NamedTuple):
     modes: list[modes.Interval]  # without a gap; [] if they are not known
     problems: list[str]
     doubts: list[str]  # those of them that are about the signals' messages
-    clock: Clock  # of all times
     coarse: bool  # whether stamps do not tell latency, jitter and gaps
     paired: bool = False  # whether voltages belong to readings by row or number, which tells no latency
 
@@ -101,7 +100,6 @@ class Recording(NamedTuple):
 
     bag: Bag
     valves: dict[str, ValveRecording]
-    nodes: dict[str, parameters.Node]
     problems: list[str]
     clock: Clock  # of all times
 
@@ -146,14 +144,14 @@ def load(
     bag.problems += used.notes
     series = used.read(series)
     nodes = parameters.history(series.get(parameters.TOPIC), bag.problems)
-    since = 0
+    since, received = 0, used.name == "log_time"
     if start is not None:  # by the clock that counts
         times = (series[name].publish_time for group in groups for name in group)
         since = min((int(time.min()) for time in times if len(time)), default=first)
         nodes = {name: node.from_time(since) for name, node in nodes.items()}
     words = modes.words([series[name] for name in diagnostics], bag.problems)
     valves = {
-        name: _valve(valve, series, labels.get(valve.state, []), nodes, words, since, used, bag.table)
+        name: _valve(valve, series, labels.get(valve.state, []), nodes, words, since, received, bag.table)
         for name, valve in topics.items()
     }
     if not any(len(s.time) for valve in valves.values() for s in valve.signals.values()):
@@ -163,7 +161,7 @@ def load(
             f"{path} has no message on any topic of a valve{part}, so there is nothing to analyse"
             + (f" ({why})" if why else "")
         )
-    return Recording(bag, valves, nodes, bag.problems, used)
+    return Recording(bag, valves, bag.problems, used)
 
 
 def chosen(path: Path | str, valves: Mapping[str, V], of: str | None) -> V:
@@ -219,15 +217,15 @@ def _valve(
     nodes: dict[str, parameters.Node],
     words: dict[str, list[modes.Word]],
     since: int,
-    clock: Clock,
+    received: bool,
     table: TableFile | None,
 ) -> ValveRecording:
     problems: list[str] = []
-    cleaned = clean(topics.sources, series, problems, table, received=clock.name == "log_time")
-    signals, pairs = cleaned.usable, cleaned.pairs
+    recorded, signals, pairs = clean(topics.sources, series, problems, table, received)
     doubts = list(problems)
     # Of several controllers the one whose state or journal is read.
-    kinds = {node.kind: node for node in nodes.values() if node.namespace == topics.namespace and node.kind}
+    near = [node for name, node in nodes.items() if name.rpartition("/")[0] == topics.namespace and node.kind]
+    kinds = {node.kind: node for node in near}
     own = nodes.get((topics.state or topics.journal).rpartition("/")[0])
     if own is not None and own.kind in kinds:
         kinds[own.kind] = own
@@ -253,7 +251,7 @@ def _valve(
                 f"the bag does not have {node.missing} parameters of {node.name} from its beginning"
             )
     intervals: list[modes.Interval] = []
-    if filled := [samples.time for samples in cleaned.recorded.values() if len(samples.time)]:
+    if filled := [samples.time for samples in recorded.values() if len(samples.time)]:
         begin, end = min(int(time[0]) for time in filled), max(int(time[-1]) for time in filled) + 1
         heard = modes.of_controller(words, topics.namespace, topics.state)
         intervals = modes.history(heard, stamp, mode, max(begin, since), end)
@@ -261,7 +259,7 @@ def _valve(
         name=topics.name,
         topics=topics,
         signals=signals,
-        recorded=cleaned.recorded,
+        recorded=recorded,
         state=state,
         journal=journal,
         accounts=accounts,
@@ -271,7 +269,6 @@ def _valve(
         modes=intervals,
         problems=problems,
         doubts=doubts,
-        clock=clock,
         coarse=pairs is not None and not pairs.crossed,
         paired=table is not None or (pairs is not None and pairs.crossed),
     )

@@ -322,7 +322,7 @@ class Bag:
 
     def _decompressed(self, block: Block) -> Block:
         """``block``, whose messages rosbag2 may have compressed, with the messages as they were sent."""
-        if not block.first.startswith(ZSTD_MAGIC):
+        if not next(block.contents()).startswith(ZSTD_MAGIC):
             return block
         import zstandard
 

@@ -53,11 +53,6 @@ class Block(NamedTuple):
         for at, size in zip(self.offset.tolist(), self.length.tolist(), strict=True):
             yield self.buffer[at : at + size].tobytes()
 
-    @property
-    def first(self) -> bytes:
-        """The first message."""
-        return next(self.contents())
-
     def select(self, chosen: npt.NDArray[Any]) -> "Block":
         """The messages chosen by a mask or by indices."""
         return Block(self.buffer, *(column[chosen] for column in self[1:]))
