@@ -78,8 +78,8 @@ class Triangle(NamedTuple):
     @property
     def rate(self) -> Floats:
         """Of the voltage in each stroke [V/s], S."""
-        moved: Floats = self.voltage[:, -1] - self.voltage[:, 0]
-        return moved / ((self.voltage.shape[1] - 1) * self.period)
+        moved = self.voltage[:, -1] - self.voltage[:, 0]
+        return np.asarray(moved / ((self.voltage.shape[1] - 1) * self.period))
 
 
 class Bounded(NamedTuple):
