@@ -147,7 +147,8 @@ def draw(path: Path, found: dict[str, Measured]) -> None:
         loop.plot(u[::50], x[::50], color=colour, lw=0.9, label=name)
         step.plot(1e3 * PERIOD * np.arange(len(one.step)), one.step, color=colour, lw=1.2)
         gain.semilogx(one.frequency, one.gain, color=colour, lw=1.2)
-        phase.semilogx(one.frequency, one.phase, color=colour, lw=1.2)
+        seen = one.gain > -50.0  # below, the phase is that of rounding and of the bristles
+        phase.semilogx(one.frequency[seen], one.phase[seen], color=colour, lw=1.2)
     titles = (
         (loop, "voltage [V]", "position [V]"),
         (step, "time [ms]", "position [V]"),
