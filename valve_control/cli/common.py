@@ -73,7 +73,8 @@ def option_of(name: str) -> str:
 def refuse(arguments: argparse.Namespace, names: Iterable[str], who: str) -> None:
     """Raise ParameterError if one of the options ``names`` is there, which ``who`` takes not."""
     for name in names:
-        if getattr(arguments, name) not in (None, [], False):
+        value = getattr(arguments, name)
+        if not (value is None or value is False or value == []):
             raise ParameterError(f"{who} takes no {option_of(name)}")
 
 

@@ -220,7 +220,7 @@ class ValveSimulator(Managed):
         """Whether all wanted listeners are there, among them a controller."""
         now = time.monotonic()
         heard = self._positions.get_subscription_count() >= self._listeners
-        if not (heard and self.count_publishers("valve_voltage")):
+        if not (heard and self.get_publishers_info_by_topic("valve_voltage")):
             self._complete_since = now
             return False
         return now - self._complete_since > MEET or acquainted(self, self._positions, "valve_voltage")

@@ -323,7 +323,7 @@ class Supervisor:
     @property
     def voltage(self) -> float:
         """Voltage [V] of the amplifier in force."""
-        return float(self._steps.sent(self.params, self.memory)) if self._form else 0.0
+        return float(self._steps.voltage_in_force(self.params, self.memory)) if self._form else 0.0
 
     @property
     def conditions(self) -> dict[str, str]:
