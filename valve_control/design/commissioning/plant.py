@@ -27,7 +27,7 @@ from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.identification import rational
 from valve_control.design.identification.characteristic import TOLD_OVERLAP
 from valve_control.design.identification.rational import Fit
-from valve_control.parameter import Values, defaults
+from valve_control.parameter import ParameterError, Values, defaults
 
 MODEL_ERROR = 0.03  # of a stretch's motion, that a model of the valve is allowed beside the noise
 QUIET = 1e-3  # V  noise that is assumed at least
@@ -327,11 +327,14 @@ class _Tests(NamedTuple):
 
     def errors(self, plant: Plant) -> Floats:
         """Errors of ``plant`` over what is allowed, all samples of all tests; at most 1000."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            parts = [
-                np.where(w > 0.0, w * (simulated(plant, r) - np.nan_to_num(r.reading)), 0.0)
-                for r, w in zip(self.records, self.weights, strict=True)
-            ]
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                parts = [
+                    np.where(w > 0.0, w * (simulated(plant, r) - np.nan_to_num(r.reading)), 0.0)
+                    for r, w in zip(self.records, self.weights, strict=True)
+                ]
+        except ParameterError:  # such as one that moves against its voltage
+            parts = [np.full(len(w), np.inf) for w in self.weights]
         errors: Floats = np.clip(np.nan_to_num(np.concatenate(parts), nan=1e3), -1e3, 1e3)
         return errors
 
