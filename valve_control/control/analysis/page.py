@@ -83,8 +83,8 @@ def figure(
     result.update_xaxes(type="log" if logarithmic_x else "linear")
     result.update_xaxes(title_text=x_title, row=len(plots), col=1)
     result.update_layout(
-        template="plotly_white", margin={"l": 70, "r": 20, "t": 50, "b": 50}, hovermode="x unified",
-        height=height * len(plots) + 110, legend={"orientation": "h", "y": 1.0, "yanchor": "bottom"},
+        template="plotly_white", margin={"l": 70, "r": 20, "t": 80, "b": 50}, hovermode="x unified",
+        height=height * len(plots) + 140, legend={"orientation": "h", "y": 1.0, "yanchor": "bottom"},
     )  # fmt: skip
     return str(result.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False}))
 
