@@ -14,9 +14,9 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as LibraryWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from test_cdr import fields_of
 
 from valve_control.recordings.bags.bag import Bag
+from valve_control.recordings.bags.cdr import places
 from valve_control.recordings.bags.errors import BagError
 
 REAL = Path(__file__).resolve().parents[1] / "data" / "bags"
@@ -65,7 +65,11 @@ def test_numbers_of_real_messages_are_the_library_s(name):
         first = next(bag.messages(topic.name), None)
         if first is None:
             continue
-        fields = list(fields_of(TYPES.deserialize_cdr(first, topic.type)))
+        fields = [
+            path if leaf.entries is None else f"{path}[{i}]"
+            for path, leaf in places(topic, first).leaves.items()
+            for i in range(1 if leaf.entries is None else leaf.entries)
+        ]
         series = bag.read({topic.name: fields}, raw=[topic.name])[topic.name]
         assert series.undecodable == 0 and len(series.raw) == len(series.log_time)
         for i, raw in enumerate(series.raw):

@@ -105,7 +105,6 @@ def test_numbers_are_found_whatever_the_definition(tmp_path, kind):
     [
         (HEADED, ""),
         ("mine/Unknown u\nfloat64 data", "mine/msg/Unknown"),
-        ("mine/Headed again\nfloat64 data", "mine/msg/Headed"),
         ("mine/Unknown[] u\nfloat64 data", "mine/msg/Unknown"),
         ("", "no definition"),
     ],
@@ -114,13 +113,20 @@ def test_standard_types_complete_a_definition_and_others_are_said(definition, wo
     topic = Topic("/t", "mine/msg/Headed", definition_format="ros2msg", definition=definition)
     if words:
         with pytest.raises(BagError, match=words):
-            Decoder(topic, ["data"])
+            Decoder(topic, "data")
         return
     raw = b"\0\1\0\0" + struct.pack("<iII3sxd", 1, 2, 3, b"ab\0", 0.25)
-    values, done = Decoder(topic, ["data", "header.stamp.sec"]).decode(
-        np.frombuffer(raw, np.uint8), np.array([0]), np.array([len(raw)])
-    )
-    assert done.all() and values.tolist() == [[0.25, 1.0]]
+    message = np.frombuffer(raw, np.uint8), np.array([0]), np.array([len(raw)])
+    for field, value in (("data", 0.25), ("header.stamp.sec", 1.0)):
+        values, done = Decoder(topic, field).decode(*message)
+        assert done.all() and values.tolist() == [value]
+
+
+def test_a_type_that_contains_itself_cannot_be_decoded():
+    topic = Topic("/t", "mine/msg/Headed", definition_format="ros2msg", definition="mine/Headed again")
+    decoder = Decoder(topic, "data")
+    decoder.decode(np.zeros(9, np.uint8), np.array([0]), np.array([9]))
+    assert "mine/msg/Headed" in decoder.error
 
 
 # Files and their order

@@ -72,7 +72,9 @@ class CommandSource(Worker):
                 f"every is {values['every']}; in lockstep there is a command for each reading"
             )
         if values["trigger"] == "lockstep" and values["fault.command"] == "silent":
-            raise ParameterError("fault.command is silent, but in lockstep each reading waits for its command")
+            raise ParameterError(
+                "fault.command is silent, but in lockstep each reading waits for its command"
+            )
         same = [values[name] for name in SHAPING] == self._shaped_by
         return self._commands if same else build.commands(values)
 

@@ -190,7 +190,7 @@ def _wrong_field(bag: Bag, source: Source) -> str:
     if topic.unreadable or bag.table is not None:
         return ""
     try:
-        decoder = Decoder(topic, [source.field])
+        decoder = Decoder(topic, source.field)
     except BagError as reason:
         return f"{source.topic} ({topic.type}): {reason}"
     for _, block in bag.blocks([source.topic]):

@@ -15,7 +15,7 @@ from valve_control.control.supervision.journal import Block, block
 from valve_control.control.supervision.state_snapshot import Account, account
 from valve_control.recordings import modes, parameters
 from valve_control.recordings.bags.bag import Bag, Series
-from valve_control.recordings.bags.cdr import deserialized
+from valve_control.recordings.bags.cdr import deserialized, places
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.table import TableFile
 from valve_control.recordings.cleaning import Samples, clean, seconds
@@ -206,8 +206,11 @@ def _accounts(notes: Series | None) -> dict[tuple[int, int], Account]:
 
 
 def _labels(bag: Bag, topic: str) -> list[str]:
-    message = deserialized(next(bag.messages(topic), b""), STATE_TYPE)
-    return [] if message is None else [one.label for one in message.layout.dim]
+    message = next(bag.messages(topic), None)
+    try:
+        return [] if message is None else places(bag.topic(topic), message).labels("data")
+    except BagError:
+        return []
 
 
 def _valve(

@@ -366,7 +366,8 @@ class _Collector:
     """Collects the columns of one topic, block by block."""
 
     def __init__(self, topic: Topic, fields: Sequence[str], raw: bool) -> None:
-        self._decoder = Decoder(topic, fields) if fields else None
+        # Each field has a decoder: messages of one publisher may have one, those of another the other.
+        self._decoders = [Decoder(topic, field) for field in fields]
         self._fields = fields
         self._keep_raw = raw
         self._raw: list[bytes] = []
@@ -375,29 +376,28 @@ class _Collector:
         self._columns: list[list[npt.NDArray[Any]]] = [[np.empty(0, dtype=kind)] for kind in kinds]
 
     def take(self, block: Block) -> None:
-        columns = [*block[2:6]]
-        if self._decoder is not None:
-            for decoded in self._decoder.decode(block.buffer, block.offset, block.length):
-                columns += [*decoded.T]
+        found = [one.decode(block.buffer, block.offset, block.length) for one in self._decoders]
         if self._keep_raw:
             self._raw += block.contents()
+        columns = (*block[2:6], *(values for values, _ in found), *(mask for _, mask in found))
         for pieces, column in zip(self._columns, columns, strict=True):
             pieces.append(column.copy())
 
     def series(self) -> Series:
         log, publish, sequence, place, *rest = map(_joined, self._columns)
         values, masks = rest[: len(self._fields)], rest[len(self._fields) :]
+        decoded = list(zip(self._fields, self._decoders, masks, strict=True))
         series = Series(
             log_time=log,
             publish_time=publish,
             sequence=sequence,
             place=place,
             values=dict(zip(self._fields, values, strict=True)),
-            present={field: mask for field, mask in zip(self._fields, masks, strict=True) if not mask.all()},
+            present={field: mask for field, _, mask in decoded if not mask.all()},
             raw=self._raw,
-            undecodable=self._decoder.undecodable if self._decoder else 0,
-            error=self._decoder.error if self._decoder else "",
-            absent=self._decoder.absent if self._decoder else {},
+            undecodable=sum(int(np.count_nonzero(~mask)) - one.absent for _, one, mask in decoded[:1]),
+            error="".join(one.error for _, one, _ in decoded[:1]),
+            absent={field: one.absent for field, one, _ in decoded if one.absent},
         )
         return series.only(np.logical_or.reduce(masks)) if masks else series
 

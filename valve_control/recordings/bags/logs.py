@@ -301,10 +301,14 @@ def _nanoseconds(cell: str) -> int:
     found = STAMP.fullmatch(cell)
     if found is None:
         raise ValueError
-    year, _, month, day, german_day, german_month, german_year, hour, minute, second, rest = found.groups()
-    date = f"{year or german_year or 1970}-{month or german_month or 1:0>2}-{day or german_day or 1:0>2}"
-    clock = f"{hour or 0:0>2}:{minute or '00'}:{second or '00'}.{(rest or '0')[:9]}"
-    return int(np.datetime64(f"{date}T{clock}", "ns").astype(np.int64))
+    year, _, month, day, german_day, german_month, german_year, *clock, fraction = found.groups()
+    ns = int((fraction or "").ljust(9, "0")[:9])
+    for part, size in zip(clock, (3600, 60, 1), strict=True):
+        ns += int(part or 0) * size * 10**9
+    if year or german_year:
+        date = f"{year or german_year}-{month or german_month:0>2}-{day or german_day:0>2}"
+        ns += int(np.datetime64(date, "D").astype(np.int64)) * DAY * 10**9
+    return ns
 
 
 def _with_dates(columns: Sequence[Column]) -> list[Column]:
