@@ -134,7 +134,7 @@ def text(found: Identification) -> str:
         lines.append(f"{'for arc and oarc:' if label == 'initial' else '':17} theta_{label} {values}")
     if m is not None:
         steps = f"steps of {1e3 * known.lvdt.resolution:.3g} mV" if known.lvdt.resolution else "no steps"
-        lines.append(f"LVDT: noise {1e3 * known.lvdt.noise:.3g} mV, {steps}")
+        lines.append(f"LVDT: noise {1e3 * round(known.lvdt.noise, 8):.3g} mV, {steps}")
     if rubbing is not None and m is not None:
         way = f"{1e3 * rubbing.presliding:.3g} mV" if rubbing.presliding else "not to be told"
         lines.append(
