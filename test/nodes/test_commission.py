@@ -24,6 +24,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 
 from benchmarks import commissioned
+from research.campaigns import strangers
 from research.campaigns.processes import Listener, process
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
@@ -230,7 +231,7 @@ def aborted(ros, stack, folder, namespace, planned, reached):
     yield lambda: len(seen.voltages) > 100, "voltages", 60.0
     assert set_parameters(ros, node, arc__k2=88.0).successful  # which no file and no option has
     before = seen.parameters()
-    log = folder / "said.log"
+    log, others = folder / "said.log", stack.enter_context(ExitStack())
     for how, step, share in planned:
         words, longest, settings = STEPS[step]
         kept = folder / "kept"
@@ -254,6 +255,8 @@ def aborted(ros, stack, folder, namespace, planned, reached):
                 simulator.kill()
             elif how == "no controller":
                 controller.kill()
+            elif how == "second_publisher":
+                others.enter_context(strangers.rival(ros, f"{namespace}/spool_position"))
             else:
                 assert set_parameters(ros, f"{namespace[1:]}/valve_simulator", fault__lvdt=how).successful
             yield over, "end of commission", 60.0
@@ -279,6 +282,8 @@ def aborted(ros, stack, folder, namespace, planned, reached):
             topic = f"{namespace}/spool_position"
             yield lambda: ros.count_publishers(topic) == 0, "its end", 60.0  # noqa: B023
             simulator = stack.enter_context(process("valve_simulator", [*VALVE, *place], folder / "s2.log"))
+        elif how == "second_publisher":
+            others.close()
         elif not how.startswith("SIG"):
             target = f"{namespace[1:]}/valve_simulator"
             assert set_parameters(ros, target, fault__lvdt="none").successful
