@@ -60,6 +60,7 @@ REMIND = 0.1  # s between two voltages of 0 V while the LVDT is silent
 WATCH_GRAPH = 0.1  # s between two looks at who publishes and reads, and between two parts of the journal
 LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 NEVER = math.inf
+LOOK = 0.65  # of a period after a reading, when commands are taken: if the next reading takes them, they are late
 STANDS_BY = "another publisher on valve_voltage controls this valve, so this controller does not"
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
 Built = tuple[Any, tuple[str, ...]]  # Params of the law, and terms of ~/terms
@@ -82,6 +83,7 @@ class Controller(Managed):
         self._lockstep: Lockstep | None = None
         self._watch_at = NEVER
         self._catching_up = False
+        self._look_at = NEVER
         self._seen = 0.0  # s, last reading or silence
         self._pace: rate.State | None = None  # of the readings before the first that is used
         self._last_number = 0  # of a reading before the first that is used
@@ -171,6 +173,7 @@ class Controller(Managed):
         self._said = None
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._in_lockstep else self._seen + REMIND
+        self._look_at = NEVER
         self._pace = None if self._in_lockstep else rate.UNKNOWN
         self._catching_up = False
         self._timing.clear()
@@ -206,12 +209,12 @@ class Controller(Managed):
         return self._lockstep.inputs()
 
     def due(self) -> float:
-        """Next time [s] to act without a message: LVDT silent, lockstep check."""
+        """Next time [s] to act without a message: LVDT silent, commands, lockstep check."""
         look_at = NEVER if self._lockstep is None else self._lockstep.look_at
-        return min(self._watch_at, look_at) if self.working else NEVER
+        return min(self._watch_at, self._look_at, look_at) if self.working else NEVER
 
     def work(self) -> bool:
-        """Answer each waiting reading; without one in time, switch off."""
+        """Answer each waiting reading, or take commands for the next; without one in time, switch off."""
         if not self.working:
             return False
         if self._lockstep is not None:
@@ -225,7 +228,11 @@ class Controller(Managed):
                 self._answer(reading, info)
             worked = True
         now = time.monotonic()
+        if self._look_at <= now < self._watch_at and not worked:
+            self._look_at = NEVER
+            self._take_commands()
         if now >= self._watch_at and not worked:
+            self._look_at = NEVER
             self._catching_up = self._stood_still(now)
             self._take_commands()
             if self._pace is not None:
@@ -283,6 +290,7 @@ class Controller(Managed):
         self._timing.note(began, ended, latency, self._period)
         self._rivals.answered(began)
         if not self._in_lockstep:
+            self._look_at = began + LOOK * self._period
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         self._telemetry.note(self._supervisor)
 
@@ -375,7 +383,7 @@ class Controller(Managed):
             return
         if self._rivals.stands_by:
             self._publish(self._supervisor.stop())
-            self._watch_at = NEVER
+            self._watch_at = self._look_at = NEVER
             self.get_logger().error(f"safe: {STANDS_BY}")
         else:
             self.begin()
