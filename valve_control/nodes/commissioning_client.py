@@ -254,10 +254,10 @@ class Controller:
             if isinstance(value, Point):
                 # The point is of the next reading. That of now is sent to a controller that looks at stamps.
                 early = 0.0 if self._counts or not readings else ahead()
-                rate = value.velocity - value.acceleration * early
+                velocity = value.velocity - value.acceleration * early
                 at = began + round((due * self._period - early) * 1e9)
                 here = limited - (value.velocity - 0.5 * value.acceleration * early) * early
-                self._points.publish(encoded_point(here, rate, value.acceleration, at))
+                self._points.publish(encoded_point(here, velocity, value.acceleration, at))
             else:
                 self._commands.publish(encoded(limited))
             commands.append((time.time_ns(), limited))

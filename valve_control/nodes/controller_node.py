@@ -83,7 +83,7 @@ class Controller(Managed):
         self._lockstep: Lockstep | None = None
         self._watch_at = NEVER
         self._catching_up = False
-        self._look_at = NEVER
+        self._alone, self._look_at = alone, NEVER
         self._seen = 0.0  # s, last reading or silence
         self._pace: rate.State | None = None  # of the readings before the first that is used
         self._last_number = 0  # of a reading before the first that is used
@@ -173,7 +173,6 @@ class Controller(Managed):
         self._said = None
         self._seen = time.monotonic()
         self._watch_at = NEVER if self._in_lockstep else self._seen + REMIND
-        self._look_at = NEVER
         self._pace = None if self._in_lockstep else rate.UNKNOWN
         self._catching_up = False
         self._timing.clear()
@@ -232,7 +231,6 @@ class Controller(Managed):
             self._look_at = NEVER
             self._take_commands()
         if now >= self._watch_at and not worked:
-            self._look_at = NEVER
             self._catching_up = self._stood_still(now)
             self._take_commands()
             if self._pace is not None:
@@ -290,7 +288,8 @@ class Controller(Managed):
         self._timing.note(began, ended, latency, self._period)
         self._rivals.answered(began)
         if not self._in_lockstep:
-            self._look_at = began + LOOK * self._period
+            if self._alone:
+                self._look_at = began + LOOK * self._period
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         self._telemetry.note(self._supervisor)
 

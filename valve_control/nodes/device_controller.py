@@ -54,7 +54,6 @@ class DeviceController(DeviceNode, Controller):
     live = frozenset(LIVE | OWN - {"sample_period"})
 
     def __init__(self, alone: bool = True, **options: Any) -> None:
-        self._alone = alone
         self._ready_at = 0.0  # s, from when on the next reading is waited for
         self._asked_at = 0.0  # s, when it was last asked for
         self._begun = False
