@@ -12,9 +12,8 @@ from typing import NamedTuple
 OFFSET = 0.5  # s  time constant of the line's offset
 DRIFT = 1.0  # s  of its drift; twice OFFSET gives a damping of 1
 LARGEST = 0.05  # s/s  drift of a clock
-LIMIT = 0.001  # s  of an innovation
-LEAP = 0.1  # s  by which a message is late that begins the line anew, with its drift: a clock was set
-EARLY = 0.005  # s  by which one is early that does
+LIMIT = 0.001  # s  of an innovation; a message that much before the smallest delay begins the line anew
+LEAP = 0.1  # s  by which a message is late that does, for a clock was set; the drift is kept
 WINDOW = 0.25  # s  the smallest residual is that of this window and of the one before
 SETTLING = 0.1  # s  time constant with which it counts
 
@@ -40,19 +39,20 @@ def step(s: State, time: float, difference: float) -> State:
     elapsed = time - s.time if time > s.time else 0.0
     line = s.offset + s.drift * elapsed
     innovation = difference - line
-    if s.messages == 0.0 or innovation > LEAP or innovation < -EARLY or elapsed > OFFSET:
+    if s.messages == 0.0 or innovation > LEAP or innovation < s.lowered - LIMIT or elapsed > OFFSET:
         return State(time, difference, s.drift, 1.0, 0.0, 0.0, time, 0.0)
     messages = s.messages + 1.0
     innovation = max(-LIMIT, min(LIMIT, innovation))
-    first = 1.0 / messages
-    offset = line + max(elapsed / OFFSET, first) * innovation
+    first, share = 1.0 / messages, elapsed / OFFSET
+    offset = line + max(share, first) * innovation
+    shift = line - offset if first > share else 0.0  # of residuals, while a line has just begun
     drift = max(-LARGEST, min(LARGEST, s.drift + elapsed / (DRIFT * DRIFT) * innovation))
     residual = difference - offset
-    smallest, former, begin = min(s.smallest, residual), s.former, s.begin
+    smallest, former, begin = min(s.smallest + shift, residual), s.former + shift, s.begin
     if time - begin > WINDOW:
-        smallest, former, begin = residual, s.smallest, time
-    share = max(first, min(1.0, elapsed / SETTLING))
-    lowered = s.lowered + share * (min(smallest, former) - s.lowered)
+        smallest, former, begin = residual, smallest, time
+    lowered = s.lowered + shift
+    lowered += max(first, min(1.0, elapsed / SETTLING)) * (min(smallest, former) - lowered)
     return State(time, offset, drift, messages, smallest, former, begin, lowered)
 
 
