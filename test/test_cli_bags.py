@@ -74,14 +74,23 @@ def test_replay_in_shadow_is_the_recording(run, bags, tmp_path):
     assert json.loads(other.out)["bit_equal"] is False
 
 
-def test_replay_as_what_if(run, bags, tmp_path):
-    done = run("replay", bags / "oarc", "--mode", "what-if", "--set", "oarc.ks1=200.0", "--json", "-",
-                   "--html", tmp_path / "w.html")  # fmt: skip
+def test_simulate_takes_command_and_parameters_of_a_bag(run, bags, tmp_path):
+    log = tmp_path / "log.csv"
+    recorded = json.loads(run("analyze", bags / "oarc", "--csv", log, "--json", "-").out)["valves"]["valve"]
+    done = run("simulate", "--command", bags / "oarc", "--set", "oarc.ks1=200.0", "--json", "-",
+                   "--csv", tmp_path / "s.csv")  # fmt: skip
     assert done.status == 0, done.err
     about = json.loads(done.out)
-    assert about["controller"] == "oarc" and about["measurement_distance_rms_V"] < 0.05
-    assert about["simulated"]["e_rms"] == pytest.approx(about["recorded"]["e_rms"], rel=0.5)
-    assert (tmp_path / "w.html").stat().st_size > 1e6
+    assert about["controller"] == "oarc" and about["duration"] == pytest.approx(2.0, abs=0.002)
+    assert about["indices"]["e_rms"] == pytest.approx(recorded["indices"]["e_rms"], rel=0.5)
+    measured, simulated = (np.genfromtxt(p, delimiter=",", names=True) for p in (log, tmp_path / "s.csv"))
+    assert np.sqrt(np.mean((measured["measurement_V"] - simulated["measurement"]) ** 2)) < 0.05
+    maps = ("--map", "spool_command=command_V", "--map", "spool_position=measurement_V")
+    done = run("simulate", "--command", log, *maps, "--controller", "oarc", "--json", "-")
+    table = json.loads(done.out)
+    assert done.status == 0 and "no parameters of a controller" in done.err
+    assert table["duration"] == about["duration"] and table["controller"] == "oarc"
+    assert table["indices"]["e_rms"] == pytest.approx(recorded["indices"]["e_rms"], rel=0.5)
 
 
 def test_compare_bags(run, bags, tmp_path):
@@ -179,8 +188,11 @@ def test_a_real_bag_with_a_mapped_field(run, tmp_path):
         (["analyze", "{arc}", "--from", "900"], ["no message"]),
         (["replay", "{both}"], ["boom", "arm", "--of"]),
         (["replay", "{arc}", "--set", "arc.k1=-1"], ["arc.k1", "between"]),
-        (["replay", "{arc}", "--mode", "what-if", "--set", "sample_period=0.5"], ["sample_period"]),
-        (["replay", "{arc}", "--mode", "what-if", "--set", "amplitude=1"], ["recorded command", "amplitude"]),
+        (["replay", "{arc}", "--set", "amplitude=1"], ["recorded command", "amplitude"]),
+        (["simulate", "--command", "{arc}", "--set", "sample_period=0.5"], ["sample_period"]),
+        (["simulate", "--command", "{arc}", "--duration", "1"], ["with a bag takes no --duration"]),
+        (["simulate", "--command", "{both}"], ["boom", "arm", "--of"]),
+        (["simulate", "--from", "1"], ["without a bag takes no --from"]),
         (["analyze", "{both}", "--csv", "x.csv", "--html", "x_arm.csv"], ["x_arm.csv", "two outputs"]),
         (["compare", "--html", "x.html"], ["compare without bags takes no --html"]),
         (["bag", "recover", REAL / "README.md"], ["README.md"]),

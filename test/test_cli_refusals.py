@@ -201,7 +201,7 @@ def test_the_limit_of_a_study_fits_the_motion(run, options, low, high):
 
 
 SIMULATED = ("simulate", "compare", "identify", "study", "tune")
-BAGS = ("analyze {bag}", "replay {bag}", "replay {bag} --mode what-if", "compare {bag} {bag}")
+BAGS = ("analyze {bag}", "replay {bag}", "simulate --command {bag}", "compare {bag} {bag}")
 OUTPUTS = {
     "simulate": "json figure csv npz",
     "compare": "json figure",

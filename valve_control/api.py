@@ -235,7 +235,7 @@ def load(path: str | os.PathLike[str]) -> Parameters:
 
 
 def simulate(*parameters: Source, **options: Any) -> Result:
-    """Run one controller on one simulated valve; ``command`` may be an array [V], one value a sample.
+    """Run one controller on one simulated valve; ``command`` may be a bag, or an array [V] of samples.
 
     Arrays: time [s], command, position, measurement, voltage [V], and the terms of the law.
     """
@@ -271,7 +271,7 @@ def analyze(bag: str | os.PathLike[str], **options: Any) -> Result:
 
 
 def replay(bag: str | os.PathLike[str], *parameters: Source, **options: Any) -> Result:
-    """Replay a ``bag`` in shadow or as what-if; gives arrays and a page."""
+    """Replay a ``bag`` in shadow; gives arrays and a page."""
     return Call("replay", (bag,), parameters, options).result("csv", "html")
 
 

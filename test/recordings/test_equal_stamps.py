@@ -112,5 +112,5 @@ def test_commands_slower_than_the_readings_are_placed_by_the_file_or_not_at_all(
         assert np.isnan([found.e_M, found.e_F, found.e_rms]).all()
     else:
         assert found.e_rms == pytest.approx(right.e_rms, rel=0.03)
-    status = main(["replay", str(bag), "--mode", "what-if"])
+    status = main(["simulate", "--command", str(bag)])
     assert status == (2 if by_topic else 0)

@@ -27,6 +27,7 @@ MOST_THREADS = 4 * CORES  # or processes
 SOON, EVERY = 2.0, 5.0  # s  to the first look at the progress, and from one to the next
 INPUTS = ("params_file", "command", "source", "table", "bag", "bags", "config")  # options that name files
 OUTPUTS = {"json": "json", "npz": "npz", "csv": "csv", "html": "html", "output": "yaml", "figure": "svg"}
+WITH_BAG = ("start", "end", "of", "clock", "map")  # options of ``bag_options``
 SETTINGS = ("controller", "upper_level", "valve", "scenario", "sample_period", "duration", "seed")
 
 

@@ -3,7 +3,6 @@
 """Defines the sub-commands for bags: analyze, replay, compare of bags, and bag recover."""
 
 import argparse
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -91,19 +90,13 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
     replay = commands.add_parser(
         "replay",
         parents=[shared],
-        help="replay a bag: in shadow or as what-if",
-        description="shadow: a controller receives the recorded command and LVDT readings; its voltage "
-        "is compared with the recorded one. what-if: the closed loop is simulated from the recorded "
-        "command.",
-    )
-    replay.add_argument(
-        "--mode",
-        choices=("shadow", "what-if"),
-        default="shadow",
-        help="mode of the replay (default: shadow)",
+        help="replay a bag: a controller on the recorded commands and readings",
+        description="Shadow replay: a controller receives the recorded command and LVDT readings; its "
+        "voltage is compared with the recorded one. 'valve-control simulate --command BAG' closes the loop "
+        "with a simulated valve.",
     )
     replay.add_argument("--of", metavar="VALVE", help="valve to replay, if the bag has several")
-    group = replay.add_argument_group("shadow and what-if: instead of the recorded parameters")
+    group = replay.add_argument_group("instead of the recorded parameters")
     law_option(group, "control law")
     parameter_options(group, "a parameter")
     replay.set_defaults(run=_replay)
@@ -145,32 +138,20 @@ def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> dict[str
 
 
 def _replay(arguments: argparse.Namespace) -> int:
-    from valve_control.recordings import replay_report, shadow, what_if
+    from valve_control.recordings import replay_report, shadow
     from valve_control.recordings.analysis import analyze
 
-    shadows = arguments.mode == "shadow"
-    loaded = load(arguments, arguments.bag, journals=shadows)
+    loaded = load(arguments, arguments.bag, journals=True)
     found = valve_of(arguments, arguments.bag, analyze(loaded).valves)
     left_out = [*loaded.problems, *found.left_out]
     changes = changes_of(arguments, recorded=True)
-    nodes = ("controller",) if shadows else ("controller", "valve_simulator")
-    why = f"replay --mode {arguments.mode} has the recorded command" + " and readings" * shadows
-    files.refuse_others(arguments.set, {node: NODES[node] for node in nodes}, why)
-    result: Any
-    if shadows:
-        readings = found.valve.signals.get("spool_position")
-        with progress(0 if readings is None else len(readings.time), "samples") as bar:
-            result = shadow.replay(found.valve, changes["controller"], bar.update)
-    elif found.signals is None:
-        raise BagError("; ".join(left_out))
-    else:
-        own = changes["controller"], changes["valve_simulator"]
-        result = what_if.replay(found.valve, found.signals, *own)
-        if result.run.warning:
-            print(f"warning: {result.run.warning}", file=sys.stderr)
-    report_of: Any = replay_report.of_shadow if shadows else replay_report.of_what_if
+    why = "replay has the recorded command and readings"
+    files.refuse_others(arguments.set, {"controller": NODES["controller"]}, why)
+    readings = found.valve.signals.get("spool_position")
+    with progress(0 if readings is None else len(readings.time), "samples") as bar:
+        result = shadow.replay(found.valve, changes["controller"], bar.update)
     result = result._replace(left_out=[*left_out, *result.left_out])
-    report = report_of(result, arguments.bag, found.valve.name)
+    report = replay_report.of_shadow(result, arguments.bag, found.valve.name)
     csv_files = {} if arguments.csv is None else {arguments.csv: outputs.csv_text(report.columns, "%.17g")}
     _deliver(arguments, report, csv_files)
     return 0

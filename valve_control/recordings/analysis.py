@@ -191,15 +191,12 @@ def controller_name(valve: ValveRecording) -> str:
     return max(matching, key=lambda law: len(law.term_labels)).name if matching else ""
 
 
-def segment_indices(
-    signals: Aligned,
-    segment: Segment,
-    period: float | None = None,
-    kept: npt.NDArray[np.bool_] | None = None,
+def _segment_indices(
+    signals: Aligned, segment: Segment, period: float, kept: npt.NDArray[np.bool_] | None = None
 ) -> Indices:
     """I1-I5 of a segment, or of those of its samples that are ``kept``; NaN for what the bag does not have.
 
-    ``period`` [s] is that of the readings, if it is not the recorded one.
+    ``period`` [s]: of the readings.
     """
     inside = slice(segment.start, segment.end)
     error = (signals.measurement - signals.command)[inside]
@@ -211,7 +208,7 @@ def segment_indices(
     got = indices(
         error if has_error else zeros,
         voltage if has_voltage else zeros,
-        signals.period if period is None else period,
+        period,
         kept,
         signals.time[inside],
     )
@@ -240,7 +237,7 @@ def _parts(
                 since = []
 
     def part(segment: Segment, change: str) -> Part:
-        whole = segment_indices(signals, segment, period)
+        whole = _segment_indices(signals, segment, period)
         time_in: dict[str, float] = {}
         only_ok = whole
         if modes is not None:
@@ -249,7 +246,7 @@ def _parts(
             others = [mode for mode in Mode if mode is not Mode.OK and np.any(inside == mode)]
             time_in = {mode.name.lower(): float(np.sum(lasts[inside == mode])) for mode in others}
             if time_in:
-                only_ok = segment_indices(signals, segment, period, inside == Mode.OK)
+                only_ok = _segment_indices(signals, segment, period, inside == Mode.OK)
         stamp, start = signals.stamp[segment.start], float(signals.time[segment.start])
         laws = [c.values["controller"] for c in changes if c.time <= stamp and "controller" in c.values]
         law = str(laws[-1]) if laws else name
