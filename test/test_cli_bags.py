@@ -37,16 +37,14 @@ def bags(tmp_path_factory):
 def test_analyze_writes_everything_it_says(run, bags, tmp_path):
     files = {k: tmp_path / f"out.{k}" for k in ("json", "csv", "html")}
     done = run(
-        "analyze", bags / "arc", "--json", files["json"], "--csv", files["csv"], "--html", files["html"],
-        "--expect", "e_rms<0.1", "--expect", "timing.spool_position.lost==0",
-    )  # fmt: skip
+        "analyze", bags / "arc", "--json", files["json"], "--csv", files["csv"], "--html", files["html"]
+    )
     assert done.status == 0, done.err
     for path in files.values():
         assert f"wrote {path}" in done.out
-    assert "after change 1: arc.k1 = 100.0" in done.out and done.out.count("met: ") == 2
+    assert "after change 1: arc.k1 = 100.0" in done.out
     about = json.loads(files["json"].read_text())
     assert about["valves"]["valve"]["controller"] == "arc"
-    assert [e["met"] for e in about["expectations"]] == [True, True]
     table = np.genfromtxt(files["csv"], delimiter=",", names=True)
     assert len(table) == 2000
     error = table["measurement_V"] - table["command_V"]
@@ -54,11 +52,6 @@ def test_analyze_writes_everything_it_says(run, bags, tmp_path):
     assert np.sqrt(np.mean(error**2)) == pytest.approx(about["valves"]["valve"]["indices"]["e_rms"])
     text = files["html"].read_text()
     assert "Plotly.newPlot" in text and "b0dn" in text and "bound of V2" in text
-
-
-def test_an_expectation_that_is_not_met_is_the_exit_status(run, bags):
-    done = run("analyze", bags / "arc", "--expect", "e_rms<1e-6")
-    assert done.status == 1 and "NOT MET: e_rms<1e-6" in done.out
 
 
 def test_replay_in_shadow_is_the_recording(run, bags, tmp_path):
@@ -184,7 +177,6 @@ def test_a_real_bag_with_a_mapped_field(run, tmp_path):
     ("arguments", "words"),
     [
         (["analyze", REAL / "jazzy_mcap_drone_yaw"], ["spool_position", "/cf_logpos", "--map"]),
-        (["analyze", "{arc}", "--expect", "erms<1"], ["erms", "e_rms"]),
         (["analyze", "{arc}", "--from", "900"], ["no message"]),
         (["replay", "{both}"], ["boom", "arm", "--of"]),
         (["replay", "{arc}", "--set", "arc.k1=-1"], ["arc.k1", "between"]),

@@ -72,7 +72,7 @@ class Result(dict[str, Any]):
     """Result of a task: the numbers of --json, and what else the task gives."""
 
     text: str  # that the command prints
-    passed: bool  # whether gains are accepted, and expectations met
+    passed: bool  # whether gains are accepted
     arrays: Mapping[str, Floats]  # signals by name, [samples]; of several valves VALVE/NAME
     parameters: Parameters | None  # of the fitted valve, or the accepted gains
     page: str | None  # report of a bag in HTML

@@ -19,7 +19,6 @@ from valve_control.cli.common import (
     output_group,
     parameter_options,
     progress,
-    repeated,
     say,
     valve_of,
     write_json,
@@ -64,12 +63,8 @@ def add_commands(commands: Any) -> None:
         "analyze",
         parents=[shared],
         help="analyse a bag: sample rates, indices, estimates, spectra",
-        description="Analyse a rosbag2 recording without ROS. Exit status 1 if an expectation is not met.",
+        description="Analyse a rosbag2 recording without ROS.",
     )
-    repeated(
-        analyze, "--expect", "CONDITION", "condition that the results must meet, such as 'e_rms<0.02', "
-        "'boom.latency_s.p99<0.001', 'timing.spool_position.lost==0'",
-    )  # fmt: skip
     analyze.set_defaults(run=_analyze)
     _add_replay(commands, shared)
     bag = commands.add_parser("bag", help="finish a bag", description="Finish a bag.")
@@ -102,8 +97,8 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
     replay.set_defaults(run=_replay)
 
 
-def _analyze(arguments: argparse.Namespace) -> int:
-    from valve_control.recordings import analysis_report, axis_analysis, expectations
+def _analyze(arguments: argparse.Namespace) -> None:
+    from valve_control.recordings import analysis_report, axis_analysis
     from valve_control.recordings.analysis import analyze
 
     loaded = load(arguments, arguments.bag)
@@ -111,15 +106,9 @@ def _analyze(arguments: argparse.Namespace) -> int:
     ends = (arguments.start, arguments.end)
     part = (None if at is None else loaded.bag.begin + round(at * 1e9) for at in ends)
     report = analysis_report.of_bag(result, axis_analysis.axes(loaded.bag, *part))
-    outcomes = [o for text in arguments.expect for o in expectations.check(text, report.about["valves"])]
-    report.about["expectations"] = [outcome._asdict() for outcome in outcomes]
     csv_files = _csv_files(arguments.csv, result.valves)
     check_outputs(arguments, *(csv_files.keys() - {arguments.csv}))
     _deliver(arguments, report, csv_files)
-    for outcome in outcomes:
-        value = "missing" if outcome.value is None else f"{outcome.value:.6g}"
-        say(arguments, f"{'met' if outcome.met else 'NOT MET'}: {outcome.text} ({outcome.valve}: {value})")
-    return 0 if all(outcome.met for outcome in outcomes) else 1
 
 
 def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> dict[str, str]:
