@@ -13,7 +13,7 @@ import numpy as np
 from valve_control.arrays import Floats, Integers
 from valve_control.control.drivers.scaling import Scale, ScaleError, parse
 from valve_control.recordings.bags import logs
-from valve_control.recordings.bags.errors import BagError, refuse_pointer
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.logs import KINDS, TIME, UNITS, Column
 from valve_control.recordings.bags.messages import Block, Topic, absolute
 
@@ -61,7 +61,6 @@ class TableFile:
         self.path = path
         self.problems: list[str] = []
         self.damaged: set[int] = set()
-        refuse_pointer(path)
         self.size = path.stat().st_size
         self.columns = logs.read(path, self.problems)
         self.topics = [
