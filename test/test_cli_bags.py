@@ -86,19 +86,8 @@ def test_simulate_takes_command_and_parameters_of_a_bag(run, bags, tmp_path):
     assert table["indices"]["e_rms"] == pytest.approx(recorded["indices"]["e_rms"], rel=0.5)
 
 
-def test_compare_bags(run, bags, tmp_path):
-    done = run("compare", bags / "arc", bags / "oarc", bags / "both", "--json", tmp_path / "c.json",
-                   "--html", tmp_path / "c.html")  # fmt: skip
-    assert done.status == 0, done.err
-    runs = json.loads((tmp_path / "c.json").read_text())["runs"]
-    assert [r["name"] for r in runs] == ["arc", "oarc", "both/arm", "both/boom"]
-    for one in runs:
-        assert one["name"] in done.out
-    assert "Plotly.newPlot" in (tmp_path / "c.html").read_text()
-
-
 def test_the_signals_of_a_bag_as_a_table_are_the_bag(run, bags, tmp_path):
-    """What ``--csv`` writes can be analysed, replayed and compared with the bag."""
+    """What ``--csv`` writes can be analysed and replayed, and has the indices of the bag."""
     log = tmp_path / "log.csv"
     assert run("analyze", bags / "arc", "--csv", log, "--to", "1.1").status == 0
     parts = ("spool_command=command_V", "spool_position=measurement_V", "valve_voltage=voltage_V")
@@ -108,36 +97,11 @@ def test_the_signals_of_a_bag_as_a_table_are_the_bag(run, bags, tmp_path):
     done = run("replay", log, *maps, "--json", "-")
     about = json.loads(done.out)
     assert about["bit_equal"] is True and about["samples"] == len(log.read_text().splitlines()) - 1
-    assert run("analyze", bags / "oarc", "--csv", log).status == 0
-    done = run("compare", bags / "oarc", log, *maps, "--json", "-")
-    bag, table = json.loads(done.out)["runs"]
-    assert table["shift_s"] == pytest.approx(0.0, abs=1e-3) and bag["name"] == "oarc", done.err
+    bag = json.loads(run("analyze", bags / "oarc", "--csv", log, "--json", "-").out)["valves"]["valve"]
+    table = json.loads(run("analyze", log, *maps, "--json", "-").out)["valves"]["valve"]
     assert table["indices"]["e_rms"] == pytest.approx(bag["indices"]["e_rms"], rel=1e-12)
     done = run("bag", "recover", log)
     assert done.status == 2 and "is a table" in done.err
-
-
-def test_compare_lays_the_motions_over_each_other(run, tmp_path):
-    """The same sine after 0.2 s and after 1.1 s of rest; during the second, the LVDT is lost for a while."""
-    for name, rest, lost in (("early", 200, 0), ("late", 1100, 60)):
-        made = Run()
-        for _ in range(rest):
-            made.sample(0.0)
-        for i in range(1500):
-            made.sample(1.5 * float(np.sin(2.0 * np.pi * 2.0 * i * 1e-3)), lost=700 <= i < 700 + lost)
-        write(tmp_path / name, made.messages)
-    done = run("compare", tmp_path / "early", tmp_path / "late", "--json", tmp_path / "c.json",
-                   "--html", tmp_path / "c.html")  # fmt: skip
-    assert done.status == 0, done.err
-    early, late = json.loads((tmp_path / "c.json").read_text())["runs"]
-    assert early["shift_s"] == 0.0 and early["overlaid_by"] is None
-    assert late["shift_s"] == pytest.approx(-0.9, abs=1.1e-3) and late["overlaid_by"] == "command"
-    assert "late: moved by -0.9" in done.out
-    assert early["modes"]["safe"]["intervals"] == 0 and late["modes"]["safe"]["intervals"] == 1
-    assert "safe 0.0" in done.out and "only ok" in done.out
-    assert late["indices_only_ok"]["e_rms"] != late["indices"]["e_rms"]
-    page = (tmp_path / "c.html").read_text()
-    assert "late: moved by -0.9" in page
 
 
 def test_recover_says_what_it_did(run, bags, tmp_path):
@@ -186,7 +150,6 @@ def test_a_real_bag_with_a_mapped_field(run, tmp_path):
         (["simulate", "--command", "{both}"], ["boom", "arm", "--of"]),
         (["simulate", "--from", "1"], ["without a bag takes no --from"]),
         (["analyze", "{both}", "--csv", "x.csv", "--html", "x_arm.csv"], ["x_arm.csv", "two outputs"]),
-        (["compare", "--html", "x.html"], ["compare without bags takes no --html"]),
         (["bag", "recover", REAL / "README.md"], ["README.md"]),
     ],
 )  # fmt: skip

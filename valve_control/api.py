@@ -242,9 +242,9 @@ def simulate(*parameters: Source, **options: Any) -> Result:
     return Call("simulate", (), parameters, options).result("npz")
 
 
-def compare(*parameters: Source, bags: Sequence[str | os.PathLike[str]] = (), **options: Any) -> Result:
-    """Simulate all controllers on one valve, or compare the runs in ``bags``."""
-    return Call("compare", bags, parameters, options).result(*(["html"] if bags else []))
+def compare(*parameters: Source, **options: Any) -> Result:
+    """Simulate all controllers on one valve."""
+    return Call("compare", (), parameters, options).result()
 
 
 def identify(*parameters: Source, bag: str | os.PathLike[str] | None = None, **options: Any) -> Result:
@@ -277,7 +277,7 @@ def replay(bag: str | os.PathLike[str], *parameters: Source, **options: Any) -> 
 
 def _name_options() -> None:
     """Add the names of its options to the docstring of each task, for help()."""
-    commands, hidden = parser(), {"task", "run", "bag", "bags", *OUTPUTS}
+    commands, hidden = parser(), {"task", "run", "bag", *OUTPUTS}
     for task, words in (
         (simulate, []), (compare, []), (identify, []), (tune, []), (margins, []),
         (analyze, ["-"]), (replay, ["-"]),

@@ -202,6 +202,6 @@ def _recorded(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | 
     paths = [path for path in (arguments.bag, arguments.friction) if path is not None]
     tests = []
     for path, part in zip(paths, ({}, {"start": None, "end": None}), strict=False):  # of a triangle all
-        loaded = load(arguments, path, paths, **part)
+        loaded = load(arguments, path, **part)
         tests.append(recorded.recorded(loaded, valve_of(arguments, path, loaded.valves)))
     return tests[0], recorded.longest(tests[1]) if len(tests) > 1 else None

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Defines the sub-commands for bags: analyze, replay, compare of bags, and bag recover."""
+"""Defines the sub-commands for bags: analyze, replay and bag recover."""
 
 import argparse
 from collections.abc import Mapping
@@ -155,17 +155,6 @@ def _deliver(arguments: argparse.Namespace, report: "Report", csv_files: Mapping
     if arguments.html is not None:
         deliver(arguments, arguments.html, report.html)
     write_json(arguments, report.about)
-
-
-def compare_bags(arguments: argparse.Namespace) -> None:
-    """Report the indices and overlaid runs of several bags."""
-    from valve_control.recordings import comparison
-    from valve_control.recordings.analysis import analyze
-
-    runs = []
-    for path in arguments.bags:
-        runs += comparison.runs(path, analyze(load(arguments, path, arguments.bags)))
-    _deliver(arguments, comparison.report(runs), {})
 
 
 def _recover(arguments: argparse.Namespace) -> int:

@@ -20,7 +20,6 @@ from valve_control.cli.common import (
     Parser,
     bag_options,
     changes_of,
-    clock_option,
     deliver,
     law_option,
     load,
@@ -30,13 +29,11 @@ from valve_control.cli.common import (
     parameter_options,
     progress,
     refuse,
-    repeated,
     tell_notes,
     valve_of,
     write_json,
     wrote,
 )
-from valve_control.cli.recordings import compare_bags
 from valve_control.control import closed_loop
 from valve_control.control.analysis import limit_cycle
 from valve_control.control.analysis.figures import Trace, draw_traces
@@ -50,10 +47,6 @@ from valve_control.control.simulation import delivery, offline
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
 
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
-SIMULATED = (
-    "valve", "scenario", "command", "sample_period", "duration", "seed", "command_period", "command_jitter",
-    "command_drift", "preview", "set", "params_file", "figure",
-)  # fmt: skip
 BAGS = (".mcap", ".db3", ".zst", ".zstd", ".lvm", ".mat", ".mf4", ".mdf")  # else with --map
 FIGURE = "command, position, error and voltage as PNG or SVG"
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
@@ -123,16 +116,10 @@ def add_commands(commands: Any) -> None:
     compare = commands.add_parser(
         "compare",
         parents=[setup, delivery_options()],
-        help="compare several bags, or simulate all controllers",
-        description="Compare the runs in several bags. Without a bag: run every controller on one valve and "
-        "one command.",
+        help="simulate all controllers",
+        description="Run every controller on one valve and one command.",
     )
-    compare.add_argument("bags", nargs="*", metavar="BAG", help="bags to compare")
-    output_group(
-        compare, figure=f"simulation: {FIGURE}", html="bags: tables and overlaid figures as one HTML page"
-    )
-    repeated(compare, "--map", "PART=/TOPIC.FIELD", "bags: as for analyze")
-    clock_option(compare)
+    output_group(compare, figure=FIGURE)
     compare.set_defaults(run=_compare)
     parameters = commands.add_parser("parameters", help="list parameters with unit, range and meaning")
     parameters.add_argument("match", nargs="?", default="", help="only names that contain this")
@@ -296,11 +283,6 @@ def _traces(arguments: argparse.Namespace, run: offline.Run) -> None:
 
 
 def _compare(arguments: argparse.Namespace) -> None:
-    if arguments.bags:
-        refuse(arguments, SIMULATED, "compare with bags")
-        compare_bags(arguments)
-        return
-    refuse(arguments, ["html", "map", "clock"], "compare without bags")
     settings = settings_of(arguments)
     if any(text.partition("=")[0].strip() == "controller" for text in arguments.set):
         raise ParameterError("compare runs every controller, so it takes no --set controller")
