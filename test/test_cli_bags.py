@@ -146,6 +146,7 @@ def test_a_real_bag_with_a_mapped_field(run, tmp_path):
         (["replay", "{arc}", "--set", "arc.k1=-1"], ["arc.k1", "between"]),
         (["replay", "{arc}", "--set", "amplitude=1"], ["recorded command", "amplitude"]),
         (["simulate", "--command", "{arc}", "--set", "sample_period=0.5"], ["sample_period"]),
+        (["simulate", "--command", "{arc}", "--set", "amplitude=1"], ["recorded command", "amplitude"]),
         (["simulate", "--command", "{arc}", "--duration", "1"], ["with a bag takes no --duration"]),
         (["simulate", "--command", "{both}"], ["boom", "arm", "--of"]),
         (["simulate", "--from", "1"], ["without a bag takes no --from"]),

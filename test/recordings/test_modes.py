@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from made import BEGIN, PERIOD, STATUS, Run, diagnostic, write
+from made import PERIOD, STATUS, Run, diagnostic, write
 
 from valve_control.recordings import analysis_report
 from valve_control.recordings.analysis import analyze, as_dict

@@ -41,13 +41,13 @@ from valve_control.control.analysis.indices import HEADER, index_row
 from valve_control.control.analysis.steps import in_words
 from valve_control.control.commands import arrays
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import build
+from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import NODES
 from valve_control.control.simulation import delivery, offline
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
 
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
-BAGS = (".mcap", ".db3", ".zst", ".zstd", ".lvm", ".mat", ".mf4", ".mdf")  # else with --map
+BAGS = (".mcap", ".db3", ".zst", ".zstd", ".lvm", ".mat", ".mf4", ".mdf")  # other files with --map
 FIGURE = "command, position, error and voltage as PNG or SVG"
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
@@ -150,6 +150,8 @@ def _recorded(arguments: argparse.Namespace) -> tuple[dict[str, Values], Any]:
     from valve_control.recordings.recording import align
 
     refuse(arguments, ["duration"], "simulate with a bag")
+    nodes = {node: NODES[node] for node in ("controller", "valve_simulator")}
+    files.refuse_others(arguments.set, nodes, "simulate has the recorded command")
     loaded = load(arguments, arguments.command)
     valve = valve_of(arguments, arguments.command, loaded.valves)
     signals, notes = align(valve), [*loaded.problems, *valve.problems]

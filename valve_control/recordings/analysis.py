@@ -12,12 +12,7 @@ from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices, indices
 from valve_control.control.analysis.segments import Segment, motions
 from valve_control.control.analysis.spectra import Spectrum, spectrum
-from valve_control.control.analysis.timing import (
-    Timing,
-    spread,
-    timing,
-    without_intervals,
-)
+from valve_control.control.analysis.timing import Timing, spread, timing, without_intervals
 from valve_control.control.laws.registry import LAWS
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.modes import Interval, Mode, of_samples
