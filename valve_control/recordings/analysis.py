@@ -147,7 +147,7 @@ def controller_name(valve: ValveRecording) -> str:
 def _segment_indices(
     signals: Aligned, segment: Segment, kept: npt.NDArray[np.bool_] | None = None
 ) -> Indices:
-    """I1-I5 of a segment, or of those of its samples that are ``kept``; NaN for what the bag does not have."""
+    """I1-I5 of a segment, or of its samples that are ``kept``; NaN for what the bag does not have."""
     inside = slice(segment.start, segment.end)
     error = (signals.measurement - signals.command)[inside]
     voltage = signals.voltage[inside]
