@@ -192,7 +192,9 @@ def _parts(
         only_ok = whole
         if modes is not None:
             inside = modes[segment.start : segment.end]
-            lasts = np.diff(np.append(signals.time, signals.time[-1] + signals.period))[segment.start : segment.end]
+            lasts = np.diff(np.append(signals.time, signals.time[-1] + signals.period))[
+                segment.start : segment.end
+            ]
             others = [mode for mode in Mode if mode is not Mode.OK and np.any(inside == mode)]
             time_in = {mode.name.lower(): float(np.sum(lasts[inside == mode])) for mode in others}
             if time_in:
