@@ -35,7 +35,7 @@ def commands(bags: list[str]) -> dict[str, tuple[str, ...]]:
     made["theorems"] = ("theorems", "--valves", "200", *few)
     made["calibration"] = ("calibration", "--evaluations", "300")
     for bag in bags:
-        made[f"shadow {Path(bag).name}"] = ("replay", bag, "--mode", "shadow")
+        made[f"shadow {Path(bag).name}"] = ("replay", bag)
     return made
 
 

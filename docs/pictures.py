@@ -496,21 +496,23 @@ def analysis(path: Path) -> None:
 
 
 @picture
-def what_if(path: Path) -> None:
+def recorded_command(path: Path) -> None:
     """The recorded loop, and a simulated one on the recorded command."""
     my_recording()
-    words = ["--mode", "what-if", "--controller", "dcarc", "--params-file", "config/d3fxe.yaml"]
-    valve_control("replay", "first_run", *words, "--csv", "what_if.csv")
-    both = columns("what_if.csv")
-    shown = (both["time_s"] >= 7.0) & (both["time_s"] < 10.0)
-    s = {name: values[shown] for name, values in both.items()}
+    words = ["--command", "first_run", "--controller", "dcarc", "--params-file", "config/d3fxe.yaml"]
+    recorded = {name.removesuffix("_V"): values for name, values in columns("analysed.csv").items()}
+    recorded["time"] = recorded["time_s"]
     figure, (top, middle, bottom) = axes(3, 6.5)
-    for name, label, colour in (("recorded", "recorded", "0.55"), ("simulated", "what-if dcarc", COLOURS[0])):
-        position = s[f"{name}_measurement_V"]
-        top.plot(s["time_s"], position, color=colour, lw=1.0, label=label)
-        middle.plot(s["time_s"], 1e3 * (position - s["command_V"]), color=colour, lw=0.8)
-        bottom.plot(s["time_s"], s[f"{name}_voltage_V"], color=colour, lw=0.7)
-    top.plot(s["time_s"], s["command_V"], "k--", lw=1.0, label="command")
+    for label, colour, run in (
+        ("recorded", "0.55", recorded),
+        ("simulated dcarc", COLOURS[0], simulated("dcarc", *words)),
+    ):
+        shown = (run["time"] >= 7.0) & (run["time"] < 10.0)
+        s = {name: values[shown] for name, values in run.items()}
+        top.plot(s["time"], s["measurement"], color=colour, lw=1.0, label=label)
+        middle.plot(s["time"], 1e3 * (s["measurement"] - s["command"]), color=colour, lw=0.8)
+        bottom.plot(s["time"], s["voltage"], color=colour, lw=0.7)
+    top.plot(s["time"], s["command"], "k--", lw=1.0, label="command")
     top.set_ylabel("spool [V]")
     top.set_title("three seconds of the recording", loc="left")
     middle.set_ylabel("error [mV]")

@@ -72,7 +72,7 @@ class Result(dict[str, Any]):
     """Result of a task: the numbers of --json, and what else the task gives."""
 
     text: str  # that the command prints
-    passed: bool  # whether gains are accepted, and expectations met
+    passed: bool  # whether gains are accepted
     arrays: Mapping[str, Floats]  # signals by name, [samples]; of several valves VALVE/NAME
     parameters: Parameters | None  # of the fitted valve, or the accepted gains
     page: str | None  # report of a bag in HTML
@@ -235,16 +235,16 @@ def load(path: str | os.PathLike[str]) -> Parameters:
 
 
 def simulate(*parameters: Source, **options: Any) -> Result:
-    """Run one controller on one simulated valve; ``command`` may be an array [V], one value a sample.
+    """Run one controller on one simulated valve; ``command`` may be a bag, or an array [V] of samples.
 
     Arrays: time [s], command, position, measurement, voltage [V], and the terms of the law.
     """
     return Call("simulate", (), parameters, options).result("npz")
 
 
-def compare(*parameters: Source, bags: Sequence[str | os.PathLike[str]] = (), **options: Any) -> Result:
-    """Simulate all controllers on one valve, or compare the runs in ``bags``."""
-    return Call("compare", bags, parameters, options).result(*(["html"] if bags else []))
+def compare(*parameters: Source, **options: Any) -> Result:
+    """Simulate all controllers on one valve."""
+    return Call("compare", (), parameters, options).result()
 
 
 def identify(*parameters: Source, bag: str | os.PathLike[str] | None = None, **options: Any) -> Result:
@@ -271,13 +271,13 @@ def analyze(bag: str | os.PathLike[str], **options: Any) -> Result:
 
 
 def replay(bag: str | os.PathLike[str], *parameters: Source, **options: Any) -> Result:
-    """Replay a ``bag`` in shadow or as what-if; gives arrays and a page."""
+    """Replay a ``bag`` in shadow; gives arrays and a page."""
     return Call("replay", (bag,), parameters, options).result("csv", "html")
 
 
 def _name_options() -> None:
     """Add the names of its options to the docstring of each task, for help()."""
-    commands, hidden = parser(), {"task", "run", "bag", "bags", *OUTPUTS}
+    commands, hidden = parser(), {"task", "run", "bag", *OUTPUTS}
     for task, words in (
         (simulate, []), (compare, []), (identify, []), (tune, []), (margins, []),
         (analyze, ["-"]), (replay, ["-"]),

@@ -18,10 +18,6 @@ from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.recover import recover
 
 STORAGES = ["mcap", "sqlite3"]
-POINTERS = {
-    "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n": "git lfs pull",
-    "/annex/objects/SHA256E-s12345--4d7a2146.mcap\n": "git annex get",
-}
 
 
 def content(folder):
@@ -143,17 +139,3 @@ def test_old_tables_without_times_and_definitions_are_copied(tmp_path):
     with closing(Bag(result.out)) as copy:
         series = copy.read({"/spool_position": ["data"]})["/spool_position"]
     assert series.values["data"].tolist() == list(range(100))
-
-
-@pytest.mark.parametrize("pointer", POINTERS)
-def test_a_file_that_was_not_fetched_is_named(tmp_path, pointer):
-    with opened(tmp_path / "bag") as writer:
-        fill(writer, 300)
-    shutil.copy(writer.path, tmp_path / "bag" / "bag_1.mcap")
-    (tmp_path / "bag" / metadata.NAME).unlink()
-    writer.path.write_text(pointer)
-    with closing(Bag(tmp_path / "bag")) as opened_bag:
-        assert any(POINTERS[pointer] in text for text in opened_bag.problems)
-    for function in (Bag, recover):
-        with pytest.raises(BagError, match=POINTERS[pointer]):
-            function(writer.path)

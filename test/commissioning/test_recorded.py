@@ -167,7 +167,7 @@ def test_tune_from_a_bag(run, tmp_path, moved):
     )
     assert status == 0, err
     assert json.loads(out)["recording"]["valve"]["gain"]["value"] == pytest.approx(1.15, rel=0.03)
-    tuned = files.load("t.yaml")  # what-if with this file alone simulates the valve of the bag
+    tuned = files.load("t.yaml")  # with this file alone simulate has the valve of the bag
     assert tuned["controller"]["controller"] == "pid"
     model = build.valve_model(updated(VALVE, defaults(VALVE), tuned["valve_simulator"]))
     assert model.static_gain == pytest.approx(1.15 * build.valve_model(defaults(VALVE)).static_gain, rel=0.03)

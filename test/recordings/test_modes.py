@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from made import BEGIN, PERIOD, STATUS, Run, diagnostic, write
+from made import PERIOD, STATUS, Run, diagnostic, write
 
 from valve_control.recordings import analysis_report
 from valve_control.recordings.analysis import analyze, as_dict
@@ -206,58 +206,3 @@ def test_successive_changes_are_all_listed(tmp_path):
         ("after change 4", "arc.k1 = 110.0; arc.k1 = 100.0; arc.k1 = 95.0"),
     ]
     assert len(valve["changes"]) == 5
-
-
-# Readings of another rate
-
-
-def slower(messages, factor, begin=BEGIN, end=10**19):
-    """The same run with its time from ``begin`` to ``end`` [ns] stretched."""
-
-    def moved(time):
-        return time + round((factor - 1.0) * (min(max(time, begin), end) - begin))
-
-    return [m._replace(time=moved(m.time), log_time=moved(m.log_time)) for m in messages]
-
-
-@pytest.fixture(scope="module")
-def steady():
-    made = Run()
-    made.move(3000)
-    return made
-
-
-@pytest.mark.parametrize("factor", [0.5, 1.03, 2.0])
-def test_readings_of_another_rate_are_reported_with_both_numbers(steady, tmp_path, factor):
-    result = analyze(load(write(tmp_path / "bag", slower(steady.messages, factor))))
-    valve = as_dict(result)["valves"]["valve"]
-    told = f"LVDT readings come every {factor:.4g} ms, sample_period is 1 ms"
-    assert told in analysis_report.of_bag(result, {}).text and any(told in text for text in valve["left_out"])
-    period = valve["lvdt_period"]
-    assert period["measured_s"] == pytest.approx(1e-3 * factor, rel=1e-3)
-    assert period["sample_period_s"] == 0.001 and valve["sample_period_s"] == 0.001
-    assert period["deviation"] == pytest.approx(factor - 1.0, abs=1e-3)
-    # The command is a sine of 1 Hz when a reading a millisecond comes.
-    spectrum = result.valves["valve"].voltage_spectrum
-    assert spectrum.frequency[-1] == pytest.approx(500.0 / factor, rel=1e-3)
-    page = analysis_report.of_bag(result, {}).html
-    assert page.index(told, page.index("valve: indices<")) < page.index("valve: signals<")
-
-
-def test_the_right_rate_is_not_reported_despite_losses_jitter_and_pauses(steady, tmp_path):
-    """5 % lost on the way to the recorder, jitter of 0.4 ms, three standstills of 80 ms, then caught up."""
-    random = np.random.default_rng(3)
-    messages, busy = [], 0
-    for i, m in enumerate(sorted(steady.messages, key=lambda m: m.time)):
-        if m.topic == "/spool_position":
-            if random.random() < 0.05:
-                continue
-            if m.sequence in (800, 1700, 2300):
-                busy = m.time + 80 * PERIOD
-            sent = max(m.time + int(random.exponential(4e5)), busy + i)
-            m = m._replace(time=sent, log_time=sent + 100_000)
-        messages.append(m)
-    valve = as_dict(analyze(load(write(tmp_path / "bag", messages))))["valves"]["valve"]
-    assert valve["timing"]["spool_position"]["lost"] > 100
-    assert not any("LVDT readings come" in text for text in valve["left_out"])
-    assert valve["lvdt_period"]["deviation"] == pytest.approx(0.0, abs=5e-3)

@@ -8,8 +8,8 @@ from made import BEGIN, Run, number, write
 
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation import offline
-from valve_control.recordings import what_if
 from valve_control.recordings.analysis import analyze, as_dict
+from valve_control.recordings.recorded_command import command_of, parameters_of
 from valve_control.recordings.recording import align, load
 
 
@@ -126,7 +126,8 @@ def test_a_busy_recorder_is_not_taken_for_clocks_that_differ(run, tmp_path):
     assert notes == []
     expected = analyze(load(write(tmp_path / "right", run.messages))).valves["valve"].parts[0].indices
     assert result.valves["valve"].parts[0].indices == expected
-    assert as_dict(result)["valves"]["valve"]["lvdt_period"]["deviation"] == pytest.approx(0.0, abs=0.02)
+    timing = result.valves["valve"].timing["spool_position"]
+    assert timing.rate_hz == pytest.approx(1000.0, rel=0.02) and timing.lost == 0
 
 
 def test_what_is_known_of_the_nodes_counts_from_the_beginning(run, tmp_path):
@@ -213,10 +214,10 @@ def test_any_number_can_play_a_part(run, tmp_path, scale, unit):
     assert np.array_equal(signals.voltage, run.voltages) and np.all(np.isfinite(signals.command))
 
 
-# What-if
+# Simulated again
 
 
-def test_what_if_with_the_recorded_parameters_is_the_recorded_run(tmp_path):
+def test_a_simulation_with_recorded_command_and_parameters_is_the_recorded_run(tmp_path):
     """A run from rest, whose noise is the simulator's: simulated again it is the same, bit for bit."""
     controller = {"controller": "oarc", "lockstep": True}
     simulator = {"lvdt.noise": 0.004, "friction.coulomb": 0.3, "seed": 5}
@@ -235,13 +236,12 @@ def test_what_if_with_the_recorded_parameters_is_the_recorded_run(tmp_path):
     for value in command:
         made.sample(float(value))
     valve = load(write(tmp_path / "bag", made.messages)).valves["valve"]
-    result = what_if.replay(valve, align(valve), {}, {})
-    assert result.distance == 0.0 and np.array_equal(result.run.voltage, made.voltages)
-    other = what_if.replay(valve, align(valve), {"controller": "pid"}, {"friction.coulomb": 0.0})
-    plain = offline.simulate(
-        {**made.values, "controller": "pid"}, {**made.valve_values, "friction.coulomb": 0.0}, command
-    )
-    assert np.array_equal(other.run.voltage, plain.voltage) and other.distance > 0.01
+    signals, notes = align(valve), []
+    values = parameters_of(valve, signals, notes)
+    assert notes == [] and np.array_equal(command_of(valve, signals, values["controller"]), command)
+    again = offline.simulate(values["controller"], values["valve_simulator"], command)
+    assert np.array_equal(again.voltage, made.voltages)
+    assert np.array_equal(again.measurement, made.readings)
 
 
 def test_a_trajectory_plays_the_part_of_the_command_where_there_are_no_commands(tmp_path):

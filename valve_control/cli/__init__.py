@@ -12,7 +12,7 @@ from valve_control import interrupts
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit status.
 
-    0; 1 if an output failed or an expectation was not met; 2 for bad input; 130 for Ctrl-C. Without ``argv``
+    0; 1 if an output failed or gains are not accepted; 2 for bad input; 130 for Ctrl-C. Without ``argv``
     it is the command of this process, which SIGINT then ends quietly at any moment, of the imports too.
     """
     if argv is not None:

@@ -24,8 +24,8 @@ EXAMPLES = """examples:
   valve-control simulate --controller oarc --scenario sine --set frequency=6.0 --figure sine.png
   valve-control tune --controller dcarc --params-file valve.yaml --output tuned.yaml
   valve-control export --controller oarc --params-file config/d3fxe.yaml --output oarc_in_c
-  valve-control analyze my_bag --html report.html --expect 'e_rms<0.02'
-  valve-control replay my_bag --mode what-if --set arc.k1=150
+  valve-control analyze my_bag --html report.html
+  valve-control simulate --command my_bag --set arc.k1=150
 """
 
 

@@ -25,8 +25,9 @@ MOST_SEED, MOST_VALVES = 2_000_000_000, 100_000  # of a search, with room for wh
 CORES = os.cpu_count() or 1
 MOST_THREADS = 4 * CORES  # or processes
 SOON, EVERY = 2.0, 5.0  # s  to the first look at the progress, and from one to the next
-INPUTS = ("params_file", "command", "source", "table", "bag", "bags", "config")  # options that name files
+INPUTS = ("params_file", "command", "source", "table", "bag", "config")  # options that name files
 OUTPUTS = {"json": "json", "npz": "npz", "csv": "csv", "html": "html", "output": "yaml", "figure": "svg"}
+WITH_BAG = ("start", "end", "of", "clock", "map")  # options of ``bag_options``
 SETTINGS = ("controller", "upper_level", "valve", "scenario", "sample_period", "duration", "seed")
 
 
@@ -158,16 +159,6 @@ def give_way(arguments: argparse.Namespace) -> None:
         arguments.threads = priority.spare_cores()
 
 
-def clock_option(group: Any) -> None:
-    """Add --clock."""
-    group.add_argument(
-        "--clock",
-        choices=("log", "publish"),
-        help="clock of the times: log_time (of recording) or publish_time (of sending; the default where it "
-        "is fit for all signals)",
-    )
-
-
 def output_group(options: argparse.ArgumentParser, **files: str) -> Any:
     """Add the options that name files to write, --json and ``files`` with their help."""
     group = options.add_argument_group("output")
@@ -185,21 +176,22 @@ def bag_options(group: Any, sources: str = "as for analyze", of: bool = True) ->
     for option, name, word in (("--from", "start", "begin"), ("--to", "end", "end")):
         text = f"{word} S seconds after the beginning of the bag"
         group.add_argument(option, dest=name, type=float, metavar="S", help=text)
-    clock_option(group)
+    group.add_argument(
+        "--clock",
+        choices=("log", "publish"),
+        help="clock of the times: log_time (of recording) or publish_time (of sending; the default where it "
+        "is fit for all signals)",
+    )
 
 
-def load(arguments: argparse.Namespace, path: str, others: Sequence[str] = (), **how: Any) -> "Recording":
-    """The bag or log ``path``, read beside ``others``; ``how``: as for ``recording.load``.
+def load(arguments: argparse.Namespace, path: str, **how: Any) -> "Recording":
+    """The bag or log ``path``; ``how``: as for ``recording.load``. Raises ParameterError and BagError."""
+    from valve_control.recordings import recording
 
-    Raises ParameterError and BagError.
-    """
-    from valve_control.recordings import mapping, recording
-
-    part: dict[str, Any] = {name: getattr(arguments, name, None) for name in ("start", "end", "clock")}
-    part |= how
+    part = {name: getattr(arguments, name) for name in ("start", "end", "clock")} | how
     if None not in (part["start"], part["end"]) and part["end"] <= part["start"]:
         raise ParameterError(f"--to {part['end']:g} lies not after --from {part['start']:g}")
-    return recording.load(path, mapping.maps_of(path, arguments.map, [path, *others]), **part)
+    return recording.load(path, arguments.map, **part)
 
 
 def valve_of(arguments: argparse.Namespace, path: str, valves: Mapping[str, Any]) -> Any:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control import outputs
 from valve_control.cli.common import (
+    WITH_BAG,
     bag_options,
     changes_of,
     check_outputs,
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from valve_control.design.identification.result import Identification
 
 SIMULATED = ("valve", "scenario", "command", "sample_period", "duration", "seed", "set", "params_file")
-RECORDED = ("map", "of", "start", "end", "clock")
 DELAY = (
     "dead time of the sensor (0 s); the rest of the dead time belongs to the actuator, because "
     "readings alone cannot distinguish the two"
@@ -170,7 +170,7 @@ def _simulated(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment |
     """Tests of the simulated valve: of its response, and of its friction if it is asked for."""
     from valve_control.design.identification import experiment, friction
 
-    refuse(arguments, RECORDED, "identify without a bag")
+    refuse(arguments, WITH_BAG, "identify without a bag")
     if arguments.command is not None:
         refuse(arguments, ["scenario"], "identify with --command")
     changes = changes_of(arguments)
@@ -202,6 +202,6 @@ def _recorded(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | 
     paths = [path for path in (arguments.bag, arguments.friction) if path is not None]
     tests = []
     for path, part in zip(paths, ({}, {"start": None, "end": None}), strict=False):  # of a triangle all
-        loaded = load(arguments, path, paths, **part)
+        loaded = load(arguments, path, **part)
         tests.append(recorded.recorded(loaded, valve_of(arguments, path, loaded.valves)))
     return tests[0], recorded.longest(tests[1]) if len(tests) > 1 else None

@@ -1,9 +1,8 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Defines the sub-commands for bags: analyze, replay, compare of bags, and bag recover."""
+"""Defines the sub-commands for bags: analyze, replay and bag recover."""
 
 import argparse
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,6 @@ from valve_control.cli.common import (
     output_group,
     parameter_options,
     progress,
-    repeated,
     say,
     valve_of,
     write_json,
@@ -65,12 +63,8 @@ def add_commands(commands: Any) -> None:
         "analyze",
         parents=[shared],
         help="analyse a bag: sample rates, indices, estimates, spectra",
-        description="Analyse a rosbag2 recording without ROS. Exit status 1 if an expectation is not met.",
+        description="Analyse a rosbag2 recording without ROS.",
     )
-    repeated(
-        analyze, "--expect", "CONDITION", "condition that the results must meet, such as 'e_rms<0.02', "
-        "'boom.latency_s.p99<0.001', 'timing.spool_position.lost==0'",
-    )  # fmt: skip
     analyze.set_defaults(run=_analyze)
     _add_replay(commands, shared)
     bag = commands.add_parser("bag", help="finish a bag", description="Finish a bag.")
@@ -91,26 +85,20 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
     replay = commands.add_parser(
         "replay",
         parents=[shared],
-        help="replay a bag: in shadow or as what-if",
-        description="shadow: a controller receives the recorded command and LVDT readings; its voltage "
-        "is compared with the recorded one. what-if: the closed loop is simulated from the recorded "
-        "command.",
-    )
-    replay.add_argument(
-        "--mode",
-        choices=("shadow", "what-if"),
-        default="shadow",
-        help="mode of the replay (default: shadow)",
+        help="replay a bag: a controller on the recorded commands and readings",
+        description="Shadow replay: a controller receives the recorded command and LVDT readings; its "
+        "voltage is compared with the recorded one. 'valve-control simulate --command BAG' closes the loop "
+        "with a simulated valve.",
     )
     replay.add_argument("--of", metavar="VALVE", help="valve to replay, if the bag has several")
-    group = replay.add_argument_group("shadow and what-if: instead of the recorded parameters")
+    group = replay.add_argument_group("instead of the recorded parameters")
     law_option(group, "control law")
     parameter_options(group, "a parameter")
     replay.set_defaults(run=_replay)
 
 
-def _analyze(arguments: argparse.Namespace) -> int:
-    from valve_control.recordings import analysis_report, axis_analysis, expectations
+def _analyze(arguments: argparse.Namespace) -> None:
+    from valve_control.recordings import analysis_report, axis_analysis
     from valve_control.recordings.analysis import analyze
 
     loaded = load(arguments, arguments.bag)
@@ -118,15 +106,9 @@ def _analyze(arguments: argparse.Namespace) -> int:
     ends = (arguments.start, arguments.end)
     part = (None if at is None else loaded.bag.begin + round(at * 1e9) for at in ends)
     report = analysis_report.of_bag(result, axis_analysis.axes(loaded.bag, *part))
-    outcomes = [o for text in arguments.expect for o in expectations.check(text, report.about["valves"])]
-    report.about["expectations"] = [outcome._asdict() for outcome in outcomes]
     csv_files = _csv_files(arguments.csv, result.valves)
     check_outputs(arguments, *(csv_files.keys() - {arguments.csv}))
     _deliver(arguments, report, csv_files)
-    for outcome in outcomes:
-        value = "missing" if outcome.value is None else f"{outcome.value:.6g}"
-        say(arguments, f"{'met' if outcome.met else 'NOT MET'}: {outcome.text} ({outcome.valve}: {value})")
-    return 0 if all(outcome.met for outcome in outcomes) else 1
 
 
 def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> dict[str, str]:
@@ -145,32 +127,20 @@ def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> dict[str
 
 
 def _replay(arguments: argparse.Namespace) -> int:
-    from valve_control.recordings import replay_report, shadow, what_if
+    from valve_control.recordings import replay_report, shadow
     from valve_control.recordings.analysis import analyze
 
-    shadows = arguments.mode == "shadow"
-    loaded = load(arguments, arguments.bag, journals=shadows)
+    loaded = load(arguments, arguments.bag, journals=True)
     found = valve_of(arguments, arguments.bag, analyze(loaded).valves)
     left_out = [*loaded.problems, *found.left_out]
     changes = changes_of(arguments, recorded=True)
-    nodes = ("controller",) if shadows else ("controller", "valve_simulator")
-    why = f"replay --mode {arguments.mode} has the recorded command" + " and readings" * shadows
-    files.refuse_others(arguments.set, {node: NODES[node] for node in nodes}, why)
-    result: Any
-    if shadows:
-        readings = found.valve.signals.get("spool_position")
-        with progress(0 if readings is None else len(readings.time), "samples") as bar:
-            result = shadow.replay(found.valve, changes["controller"], bar.update)
-    elif found.signals is None:
-        raise BagError("; ".join(left_out))
-    else:
-        own = changes["controller"], changes["valve_simulator"]
-        result = what_if.replay(found.valve, found.signals, *own)
-        if result.run.warning:
-            print(f"warning: {result.run.warning}", file=sys.stderr)
-    report_of: Any = replay_report.of_shadow if shadows else replay_report.of_what_if
+    why = "replay has the recorded command and readings"
+    files.refuse_others(arguments.set, {"controller": NODES["controller"]}, why)
+    readings = found.valve.signals.get("spool_position")
+    with progress(0 if readings is None else len(readings.time), "samples") as bar:
+        result = shadow.replay(found.valve, changes["controller"], bar.update)
     result = result._replace(left_out=[*left_out, *result.left_out])
-    report = report_of(result, arguments.bag, found.valve.name)
+    report = replay_report.of_shadow(result, arguments.bag, found.valve.name)
     csv_files = {} if arguments.csv is None else {arguments.csv: outputs.csv_text(report.columns, "%.17g")}
     _deliver(arguments, report, csv_files)
     return 0
@@ -185,17 +155,6 @@ def _deliver(arguments: argparse.Namespace, report: "Report", csv_files: Mapping
     if arguments.html is not None:
         deliver(arguments, arguments.html, report.html)
     write_json(arguments, report.about)
-
-
-def compare_bags(arguments: argparse.Namespace) -> None:
-    """Report the indices and overlaid runs of several bags."""
-    from valve_control.recordings import comparison
-    from valve_control.recordings.analysis import analyze
-
-    runs = []
-    for path in arguments.bags:
-        runs += comparison.runs(path, analyze(load(arguments, path, arguments.bags)))
-    _deliver(arguments, comparison.report(runs), {})
 
 
 def _recover(arguments: argparse.Namespace) -> int:

@@ -4,6 +4,7 @@
 
 import argparse
 import io
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,22 +16,24 @@ from valve_control import outputs
 from valve_control.axis.tables import ROS_NODES
 from valve_control.cli.common import (
     SEED,
+    WITH_BAG,
     Parser,
+    bag_options,
     changes_of,
-    clock_option,
     deliver,
     law_option,
+    load,
     names_of_files,
     numbers,
     output_group,
     parameter_options,
     progress,
     refuse,
-    repeated,
+    tell_notes,
+    valve_of,
     write_json,
     wrote,
 )
-from valve_control.cli.recordings import compare_bags
 from valve_control.control import closed_loop
 from valve_control.control.analysis import limit_cycle
 from valve_control.control.analysis.figures import Trace, draw_traces
@@ -38,16 +41,13 @@ from valve_control.control.analysis.indices import HEADER, index_row
 from valve_control.control.analysis.steps import in_words
 from valve_control.control.commands import arrays
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters import build
+from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import NODES
 from valve_control.control.simulation import delivery, offline
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
 
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
-SIMULATED = (
-    "valve", "scenario", "command", "sample_period", "duration", "seed", "command_period", "command_jitter",
-    "command_drift", "preview", "set", "params_file", "figure",
-)  # fmt: skip
+BAGS = (".mcap", ".db3", ".zst", ".zstd", ".lvm", ".mat", ".mf4", ".mdf")  # other files with --map
 FIGURE = "command, position, error and voltage as PNG or SVG"
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
@@ -71,7 +71,7 @@ def setup_options(several: bool = False) -> Parser:
         metavar="FILE",
         action="append" if several else "store",
         help="command from a CSV or NPY array, one number per sample period"
-        + ("; again for more" if several else ""),
+        + ("; again for more" if several else "; simulate: or from a bag or log"),
     )
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (6.0, or the whole array)")
     numbers(group, SEED if several else ("seed", int, None, "N", "seed of the LVDT noise (1)"))
@@ -110,31 +110,28 @@ def add_commands(commands: Any) -> None:
         description="Run one controller on one simulated valve; print the indices I1-I5 of the paper.",
     )
     law_option(simulate)
+    bag_options(simulate.add_argument_group("command from a bag, or with --map from a log"))
     output_group(simulate, figure=FIGURE, csv="traces as CSV", npz="traces as NPZ")
     simulate.set_defaults(run=_simulate)
     compare = commands.add_parser(
         "compare",
         parents=[setup, delivery_options()],
-        help="compare several bags, or simulate all controllers",
-        description="Compare the runs in several bags. Without a bag: run every controller on one valve and "
-        "one command.",
+        help="simulate all controllers",
+        description="Run every controller on one valve and one command.",
     )
-    compare.add_argument("bags", nargs="*", metavar="BAG", help="bags to compare")
-    output_group(
-        compare, figure=f"simulation: {FIGURE}", html="bags: tables and overlaid figures as one HTML page"
-    )
-    repeated(compare, "--map", "PART=/TOPIC.FIELD", "bags: as for analyze")
-    clock_option(compare)
+    output_group(compare, figure=FIGURE)
     compare.set_defaults(run=_compare)
     parameters = commands.add_parser("parameters", help="list parameters with unit, range and meaning")
     parameters.add_argument("match", nargs="?", default="", help="only names that contain this")
     parameters.set_defaults(run=_parameters, json=None)
 
 
-def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Values]:
+def settings_of(
+    arguments: argparse.Namespace, law: str = "", recorded: Mapping[str, Values] | None = None
+) -> dict[str, Values]:
     """Checked values by node from the options and files, for a comparison those of ``law``.
 
-    Raises ParameterError.
+    ``recorded``: values of a recording, which count below these. Raises ParameterError.
     """
     more: dict[str, Any] = {}
     if arguments.command is not None:
@@ -142,8 +139,25 @@ def settings_of(arguments: argparse.Namespace, law: str = "") -> dict[str, Value
         more = {"scenario": "array", "command_file": arguments.command}
     if getattr(arguments, "preview", None):
         more["message"] = "trajectory"
-    changes = changes_of(arguments, more=more, law=law)
-    return {node: updated(table, defaults(table), changes[node]) for node, table in NODES.items()}
+    changes = changes_of(arguments, more=more, law=law, recorded=recorded is not None)
+    usual = {node: defaults(table) for node, table in NODES.items()} | dict(recorded or {})
+    return {node: updated(table, usual[node], changes[node]) for node, table in NODES.items()}
+
+
+def _recorded(arguments: argparse.Namespace) -> tuple[dict[str, Values], Any]:
+    """Values by node, and the command [V] of a bag or log. Raises ParameterError and BagError."""
+    from valve_control.recordings import recorded_command
+    from valve_control.recordings.recording import align
+
+    refuse(arguments, ["duration"], "simulate with a bag")
+    nodes = {node: NODES[node] for node in ("controller", "valve_simulator")}
+    files.refuse_others(arguments.set, nodes, "simulate has the recorded command")
+    loaded = load(arguments, arguments.command)
+    valve = valve_of(arguments, arguments.command, loaded.valves)
+    signals, notes = align(valve), [*loaded.problems, *valve.problems]
+    settings = settings_of(arguments, recorded=recorded_command.parameters_of(valve, signals, notes))
+    tell_notes(notes)
+    return settings, recorded_command.command_of(valve, signals, settings["controller"])
 
 
 def _command(arguments: argparse.Namespace, values: Values) -> Any:
@@ -241,8 +255,14 @@ def _print(run: offline.Run, alone: bool = False) -> None:
 
 
 def _simulate(arguments: argparse.Namespace) -> None:
-    settings = settings_of(arguments)
-    run = _run(arguments, settings, _command(arguments, settings["command_source"]))
+    file = arguments.command
+    if file is not None and (arguments.map or os.path.isdir(file) or Path(file).suffix.lower() in BAGS):
+        settings, command = _recorded(arguments)
+    else:
+        refuse(arguments, WITH_BAG, "simulate without a bag")
+        settings = settings_of(arguments)
+        command = _command(arguments, settings["command_source"])
+    run = _run(arguments, settings, command)
     if arguments.json != "-":
         print(HEADER)
         _print(run, alone=True)
@@ -265,11 +285,6 @@ def _traces(arguments: argparse.Namespace, run: offline.Run) -> None:
 
 
 def _compare(arguments: argparse.Namespace) -> None:
-    if arguments.bags:
-        refuse(arguments, SIMULATED, "compare with bags")
-        compare_bags(arguments)
-        return
-    refuse(arguments, ["html", "map", "clock"], "compare without bags")
     settings = settings_of(arguments)
     if any(text.partition("=")[0].strip() == "controller" for text in arguments.set):
         raise ParameterError("compare runs every controller, so it takes no --set controller")

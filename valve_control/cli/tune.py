@@ -14,6 +14,7 @@ from valve_control.cli.common import (
     BUDGET,
     THREADS,
     VALVES,
+    WITH_BAG,
     Row,
     bag_options,
     check_outputs,
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
 
 DELIVERY = ("command_period", "command_jitter", "command_drift")
 OF_BAG = ("command", "scenario", "valve", "sample_period", "duration", *DELIVERY)  # that a bag has itself
-WITH_BAG = ("start", "end", "of", "clock", "map")
 FAILED = 1  # exit status if gains of a law are not accepted
 
 

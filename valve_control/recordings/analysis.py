@@ -12,15 +12,7 @@ from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import Indices, indices
 from valve_control.control.analysis.segments import Segment, motions
 from valve_control.control.analysis.spectra import Spectrum, spectrum
-from valve_control.control.analysis.timing import (
-    DEVIATION,
-    Timing,
-    lost_messages,
-    spread,
-    timing,
-    true_period,
-    without_intervals,
-)
+from valve_control.control.analysis.timing import Timing, spread, timing, without_intervals
 from valve_control.control.laws.registry import LAWS
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.modes import Interval, Mode, of_samples
@@ -67,15 +59,6 @@ class Spell(NamedTuple):
     listed: bool  # whether the run has anything of it
 
 
-class Period(NamedTuple):
-    """Period of the LVDT readings, compared with the controller's, as in JSON."""
-
-    measured_s: float  # NaN if there are too few readings, or in lockstep
-    sample_period_s: float | None  # at the beginning, None if it is not recorded
-    deviation: float | None
-    differs: bool  # by more than jitter and lost readings explain
-
-
 class ValveAnalysis(NamedTuple):
     """Results for one valve."""
 
@@ -85,7 +68,6 @@ class ValveAnalysis(NamedTuple):
     controller: str  # "" if unknown
     parts: list[Part]  # the first is the whole run
     spells: list[Spell]  # of all modes; [] if they are not known
-    period: Period
     error_spectrum: Spectrum
     voltage_spectrum: Spectrum
     left_out: list[str]
@@ -126,49 +108,20 @@ def _analyze_valve(valve: ValveRecording) -> ValveAnalysis:
     name = controller_name(valve)
     parts: list[Part] = []
     spells: list[Spell] = []
-    measured = _period(valve)
     empty = Spectrum(np.empty(0), np.empty(0))
     of_error = of_voltage = empty
     if signals is not None and len(signals.time) > 1:
-        period = measured.measured_s if measured.differs else signals.period
-        if measured.differs and measured.sample_period_s:
-            left_out.append(
-                f"{valve.name}: LVDT readings come every {1e3 * period:.4g} ms, sample_period is "
-                f"{1e3 * measured.sample_period_s:.4g} ms; motions, e_F and spectra reckon with "
-                f"{1e3 * period:.4g} ms"
-            )
         modes = None
         if valve.modes:
             interval = of_samples(valve.modes, signals.stamp, signals.period)
             spells = _spells(valve.modes, signals, interval)
             modes = np.array([part.mode for part in valve.modes])[interval]
-        parts = _parts(valve, signals, name, period, modes)
+        parts = _parts(valve, signals, name, modes)
         if times["spool_position"].gaps and not valve.lockstep:
             left_out.append(f"{valve.name}: spectra take the readings as evenly spaced, over gaps too")
         both = (signals.measurement - signals.command, signals.voltage)
-        of_error, of_voltage = (spectrum(s, period) if np.isfinite(s).all() else empty for s in both)
-    return ValveAnalysis(valve, signals, times, name, parts, spells, measured, of_error, of_voltage, left_out)
-
-
-def _period(valve: ValveRecording) -> Period:
-    """Measure the period of the readings up to the first change of sample_period."""
-    wanted, changes = None, []
-    if valve.controller is not None and "sample_period" in valve.controller.initial:
-        wanted = float(valve.controller.initial["sample_period"])
-        changes = [change.time for change in valve.controller.changes if "sample_period" in change.values]
-    readings = valve.recorded.get("spool_position")
-    if valve.lockstep or readings is None:
-        return Period(np.nan, wanted, None, False)
-    count = int(np.searchsorted(readings.time, changes[0])) if changes else len(readings.time)
-    time, sequence = readings.time[: count or None], readings.sequence[: count or None]
-    measured = true_period(time, sequence)
-    if not wanted or not np.isfinite(measured):
-        return Period(measured, wanted, None, False)
-    # Without numbers losses look like a longer period; they leave the usual interval as it is.
-    usual = measured if lost_messages(sequence) is not None else float(np.median(np.diff(time))) * 1e-9
-    away, usually_away = measured / wanted - 1.0, usual / wanted - 1.0
-    differs = abs(away) > DEVIATION and usually_away * np.sign(away) > 0.5 * abs(away)
-    return Period(measured, wanted, away, bool(differs))
+        of_error, of_voltage = (spectrum(s, signals.period) if np.isfinite(s).all() else empty for s in both)
+    return ValveAnalysis(valve, signals, times, name, parts, spells, of_error, of_voltage, left_out)
 
 
 def _spells(modes: list[Interval], signals: Aligned, interval: npt.NDArray[np.int64]) -> list[Spell]:
@@ -191,16 +144,10 @@ def controller_name(valve: ValveRecording) -> str:
     return max(matching, key=lambda law: len(law.term_labels)).name if matching else ""
 
 
-def segment_indices(
-    signals: Aligned,
-    segment: Segment,
-    period: float | None = None,
-    kept: npt.NDArray[np.bool_] | None = None,
+def _segment_indices(
+    signals: Aligned, segment: Segment, kept: npt.NDArray[np.bool_] | None = None
 ) -> Indices:
-    """I1-I5 of a segment, or of those of its samples that are ``kept``; NaN for what the bag does not have.
-
-    ``period`` [s] is that of the readings, if it is not the recorded one.
-    """
+    """I1-I5 of a segment, or of its samples that are ``kept``; NaN for what the bag does not have."""
     inside = slice(segment.start, segment.end)
     error = (signals.measurement - signals.command)[inside]
     voltage = signals.voltage[inside]
@@ -211,7 +158,7 @@ def segment_indices(
     got = indices(
         error if has_error else zeros,
         voltage if has_voltage else zeros,
-        signals.period if period is None else period,
+        signals.period,
         kept,
         signals.time[inside],
     )
@@ -221,12 +168,12 @@ def segment_indices(
 
 
 def _parts(
-    valve: ValveRecording, signals: Aligned, name: str, period: float, modes: npt.NDArray[np.int64] | None
+    valve: ValveRecording, signals: Aligned, name: str, modes: npt.NDArray[np.int64] | None
 ) -> list[Part]:
     count = len(signals.time)
     segments = [(Segment("run", "whole run", 0, count), "")]
     if np.all(np.isfinite(signals.command)):
-        segments += [(segment, "") for segment in motions(signals.command, period)]
+        segments += [(segment, "") for segment in motions(signals.command, signals.period)]
     changes = valve.controller.changes if valve.controller is not None else []
     starts = [int(np.searchsorted(signals.stamp, change.time)) for change in changes]
     if any(0 < start < count for start in starts):
@@ -240,16 +187,18 @@ def _parts(
                 since = []
 
     def part(segment: Segment, change: str) -> Part:
-        whole = segment_indices(signals, segment, period)
+        whole = _segment_indices(signals, segment)
         time_in: dict[str, float] = {}
         only_ok = whole
         if modes is not None:
             inside = modes[segment.start : segment.end]
-            lasts = np.diff(np.append(signals.time, signals.time[-1] + period))[segment.start : segment.end]
+            lasts = np.diff(np.append(signals.time, signals.time[-1] + signals.period))[
+                segment.start : segment.end
+            ]
             others = [mode for mode in Mode if mode is not Mode.OK and np.any(inside == mode)]
             time_in = {mode.name.lower(): float(np.sum(lasts[inside == mode])) for mode in others}
             if time_in:
-                only_ok = segment_indices(signals, segment, period, inside == Mode.OK)
+                only_ok = _segment_indices(signals, segment, inside == Mode.OK)
         stamp, start = signals.stamp[segment.start], float(signals.time[segment.start])
         laws = [c.values["controller"] for c in changes if c.time <= stamp and "controller" in c.values]
         law = str(laws[-1]) if laws else name
@@ -327,7 +276,6 @@ def _valve_dict(result: ValveAnalysis) -> dict[str, Any]:
             "indices": result.parts[0].indices if result.parts else None,
             "segments": result.parts,
             "modes": modes_dict(result),
-            "lvdt_period": result.period,
             "timing": result.timing,
             "latency_s": spread(signals.latency) if signals is not None else None,
             "unanswered": signals.unanswered if signals is not None else None,

@@ -147,8 +147,6 @@ def _valve_sections(name: str, valve: ValveAnalysis) -> dict[str, list[Piece]]:
     signals = valve.signals
     period = "unknown" if signals is None else f"{1e3 * signals.period:.4g} ms"
     head = f"controller {valve.controller or 'unknown'}, sample period {period}"
-    if valve.period.differs:
-        head += f", LVDT readings every {1e3 * valve.period.measured_s:.4g} ms"
     parts = sorted(valve.parts, key=lambda part: part.kind == "motion")
     rows = [row for part in parts for row in _index_rows(part)]
     most = len(rows) - sum(part.kind == "motion" for part in parts) + LISTED

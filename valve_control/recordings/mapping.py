@@ -12,7 +12,7 @@ from valve_control.recordings.bags.cdr import Decoder
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.messages import absolute
 from valve_control.recordings.bags.table import PART as TIME
-from valve_control.recordings.bags.table import is_table, scaled, unit_of
+from valve_control.recordings.bags.table import scaled, unit_of
 
 PARTS = ("spool_command", "spool_position", "valve_voltage")
 TRAJECTORY = "spool_trajectory"  # plays the part of the command where there are no others
@@ -52,16 +52,6 @@ class ValveTopics(NamedTuple):
         own = {part: {f"{self.namespace}/{part}.data"} for part in PARTS}
         own["spool_command"].add(f"{self.namespace}/{TRAJECTORY}.{POSITION}")
         return all(str(source) in own[part] for part, source in self.sources.items())
-
-
-def maps_of(path: str, maps: Sequence[str], paths: Sequence[str]) -> list[str]:
-    """Those of the ``maps`` that are for ``path``, if tables and bags are among the ``paths`` that are read.
-
-    Maps of a table name columns, those of a bag topics, which begin with a slash.
-    """
-    if len({is_table(other) for other in paths}) < 2:
-        return list(maps)
-    return [text for text in maps if text.partition("=")[2].strip().startswith("/") != is_table(path)]
 
 
 def _mapped(bag: Bag, text: str) -> tuple[str, str, Source]:

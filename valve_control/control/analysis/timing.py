@@ -20,7 +20,6 @@ LEAST = 200  # readings from which a period is measured
 REGULAR = 0.3  # part of the mean by which the usual interval of messages that come regularly may differ
 ON_GRID = 0.1  # of that interval by which its multiples may differ where messages are missing ...
 MOSTLY = 0.95  # ... and share of the intervals that are such multiples
-DEVIATION = 0.02  # of the period from the one that is wanted, beyond which it is reported
 PART_DEVIATION = 0.1  # by which the period of a recorded test may differ from its own
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from valve_control.arrays import Floats, Integers
 from valve_control.recordings.bags import metadata as bag_metadata
 from valve_control.recordings.bags.cdr import Decoder
-from valve_control.recordings.bags.errors import BagError, refuse_pointer
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.logs import KINDS as TABLES
 from valve_control.recordings.bags.messages import Block, Topic
 from valve_control.recordings.bags.sqlite import SqliteFile
@@ -298,7 +298,6 @@ class Bag:
                 f"{path} is not a bag; a bag is a folder with metadata.yaml, an .mcap or a .db3 file, or a "
                 f"table of numbers ({', '.join(TABLES)})"
             )
-        refuse_pointer(path)
         self.storage = KINDS[suffix]
         plain = self._unpack(path) if path.suffix in ZSTD else path
         if self.storage == "sqlite3":

@@ -11,7 +11,7 @@ from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 
 from valve_control import inputs, outputs
-from valve_control.recordings.bags.errors import BagError, refuse_pointer
+from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.messages import Topic
 
 NAME = "metadata.yaml"
@@ -92,7 +92,6 @@ def read(folder: Path) -> Listing:
     """Listing of the bag in ``folder``, of any version. Raises BagError."""
     path = folder / NAME
     try:
-        refuse_pointer(path)
         bag = inputs.from_yaml(path.read_text(encoding="utf-8"))[ROOT]
         mode = str(bag.get("compression_mode", "")).lower()
         listing = Listing(
@@ -105,8 +104,6 @@ def read(folder: Path) -> Listing:
         )
     except OSError as error:
         raise BagError(f"{path} cannot be read: {error.strerror or error}") from error
-    except BagError:
-        raise
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise BagError(f"{path} does not describe a bag: {type(error).__name__} {error}") from error
     if listing.compression and bag.get("compression_format") != "zstd":

@@ -13,8 +13,8 @@ import numpy as np
 from valve_control.arrays import Floats, Integers
 from valve_control.control.drivers.scaling import Scale, ScaleError, parse
 from valve_control.recordings.bags import logs
-from valve_control.recordings.bags.errors import BagError, refuse_pointer
-from valve_control.recordings.bags.logs import KINDS, TIME, UNITS, Column
+from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.logs import TIME, UNITS, Column
 from valve_control.recordings.bags.messages import Block, Topic, absolute
 
 FLOAT = "std_msgs/msg/Float64"
@@ -24,11 +24,6 @@ SCALED = re.compile(r"(?P<source>.+?)\s*(?P<scale>@[^@]+|\*[^*]+)")
 LONGEST = 9e9  # s, as long as nanoseconds can be counted
 GAP = 5.0  # usual steps of time from which on rows are missing
 ONE = Scale(1.0)
-
-
-def is_table(path: Path | str) -> bool:
-    """Whether the name ``path`` is that of a table."""
-    return Path(path).suffix.lower() in KINDS
 
 
 def scaled(text: str) -> tuple[str, Scale]:
@@ -61,7 +56,6 @@ class TableFile:
         self.path = path
         self.problems: list[str] = []
         self.damaged: set[int] = set()
-        refuse_pointer(path)
         self.size = path.stat().st_size
         self.columns = logs.read(path, self.problems)
         self.topics = [
