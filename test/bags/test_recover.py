@@ -139,3 +139,12 @@ def test_old_tables_without_times_and_definitions_are_copied(tmp_path):
     with closing(Bag(result.out)) as copy:
         series = copy.read({"/spool_position": ["data"]})["/spool_position"]
     assert series.values["data"].tolist() == list(range(100))
+
+
+def test_a_pointer_of_git_lfs_is_named(tmp_path):
+    with opened(tmp_path / "bag") as writer:
+        fill(writer, 300)
+    writer.path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n")
+    for function in (Bag, recover):
+        with pytest.raises(BagError, match="git lfs pull"):
+            function(writer.path)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 KINDS = {".mcap": "mcap", ".db3": "sqlite3"}  # storage by suffix
 ZSTD = (".zstd", ".zst")
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+POINTER = b"version https://git-lfs.github.com/spec/"  # of Git LFS, in the place of a file
 FAR = 3600.0  # s between two stamps of one recording from which on they belong to different stretches of time
 
 
@@ -298,6 +299,9 @@ class Bag:
                 f"{path} is not a bag; a bag is a folder with metadata.yaml, an .mcap or a .db3 file, or a "
                 f"table of numbers ({', '.join(TABLES)})"
             )
+        with path.open("rb") as stream:
+            if stream.read(len(POINTER)) == POINTER:
+                raise BagError(f"{path} is a Git LFS pointer, not the file itself; run git lfs pull")
         self.storage = KINDS[suffix]
         plain = self._unpack(path) if path.suffix in ZSTD else path
         if self.storage == "sqlite3":
