@@ -61,7 +61,10 @@ WATCH_GRAPH = 0.1  # s between two looks at who publishes and reads, and between
 LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 NEVER = math.inf
 LOOK = 0.65  # of a period after a reading, when commands are taken: for the next reading it is late
-STANDS_BY = "another publisher on valve_voltage controls this valve, so this controller does not"
+RIVAL = (
+    "another publisher on valve_voltage controls this valve, so this controller has deactivated itself; "
+    "end the other one, then activate this one"
+)
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
 Built = tuple[Any, tuple[str, ...]]  # Params of the law, and terms of ~/terms
 
@@ -138,9 +141,7 @@ class Controller(Managed):
 
     def open(self) -> None:
         """Create publishers and subscriptions."""
-        before = self._rivals.publishers()
         self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
-        self._rivals.know_own(before)
         self._send_voltage = sender(self._voltages)
         self._telemetry.open()
         self._journal_topics.open()
@@ -156,14 +157,9 @@ class Controller(Managed):
         """Readings of the LVDT with their numbers."""
         return NumberSubscription(self, "spool_position", qos)
 
-    def close(self) -> None:
-        """Destroy publishers and subscriptions."""
-        self._rivals.listen(False, self._period)
-        super().close()
-
     def begin(self) -> None:
         """Start from rest; messages that already wait are stale and dropped, but not in lockstep."""
-        self._rivals.begin()
+        self._rivals.given = 0
         if not self._in_lockstep:
             for topic in (self._readings, self._commands, self._trajectories):
                 for _ in topic.take():
@@ -184,9 +180,8 @@ class Controller(Managed):
 
     def end(self) -> None:
         """Publish 0 V once and stop."""
-        voltage = self._supervisor.stop()
-        if not self._rivals.stands_by:
-            self._publish(voltage)
+        self._publish(self._supervisor.stop())
+        self._rivals.listen(False, self._period)
         self._journal_topics.publish()
         self._watch_at = NEVER
         self.get_logger().info("inactive, 0 V")
@@ -223,8 +218,7 @@ class Controller(Managed):
             return taken is not None
         worked = False
         for reading, info in self._readings.take():
-            if not self._rivals.stands_by:
-                self._answer(reading, info)
+            self._answer(reading, info)
             worked = True
         now = time.monotonic()
         if self._look_at <= now < self._watch_at and not worked:
@@ -286,7 +280,6 @@ class Controller(Managed):
         ended = time.monotonic()
         latency = (self._published - info["source_timestamp"]) * 1e-9
         self._timing.note(began, ended, latency, self._period)
-        self._rivals.answered(began)
         if not self._in_lockstep:
             if self._alone:
                 self._look_at = began + LOOK * self._period
@@ -375,17 +368,10 @@ class Controller(Managed):
                 self._supervisor.trajectory_gone()
 
     def _give_way(self, several: bool) -> None:
-        """Stop while somebody else controls this valve, and begin again when he does not."""
-        others = several or self._rivals.stands_by
-        self._rivals.listen(others and self.working and not self._in_lockstep, self._period)
-        if not self._rivals.changed(self._period):
-            return
-        if self._rivals.stands_by:
-            self._publish(self._supervisor.stop())
-            self._watch_at = self._look_at = NEVER
-            self.get_logger().error(f"safe: {STANDS_BY}")
-        else:
-            self.begin()
+        """Deactivate this controller if somebody else controls the valve."""
+        self._rivals.listen(several and self.working and not self._in_lockstep, self._period)
+        if self._rivals.control(self._period):
+            self.halt(RIVAL)
 
     def _check_stability(self) -> None:
         """Warn about unstable gains: in a thread, since the check takes up to twenty periods."""
@@ -478,8 +464,6 @@ class Controller(Managed):
 
     def _status(self) -> tuple[bytes, str]:
         """Level and sentence of the diagnostics."""
-        if self._rivals.stands_by:
-            return DiagnosticStatus.ERROR, f"{STANDS_BY}; {self._supervisor.reason}"
         return LEVELS[self._supervisor.mode], self._supervisor.reason
 
     def _figures(self) -> dict[str, Any]:
