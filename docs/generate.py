@@ -75,7 +75,6 @@ MEANINGS = {
     "spool_position": "LVDT reading [V], the clock of the loop",
     "valve_voltage": "solenoid voltage [V], one for each reading",
     "~/state": "terms of law and supervisor, names in `layout.dim`, every `state_decimation`-th one",
-    "~/terms/NAME": "one of these terms, for each name in `state_topics`",
     "~/journal": "all inputs and outputs of the controller, one row each, every 0.1 s",
     "~/memory": "state of the controller and its parameters, as JSON, every `memory_period`",
     "/diagnostics": "mode, reasons and counts, once a second and at once with each change",

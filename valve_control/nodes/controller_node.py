@@ -27,7 +27,7 @@ from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.supervision import rate
 from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.journal import OBSERVED, TYPES, Journal
-from valve_control.control.supervision.record import Mode, named_terms
+from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
@@ -66,7 +66,6 @@ RIVAL = (
     "end the other one, then activate this one"
 )
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
-Built = tuple[Any, tuple[str, ...]]  # Params of the law, and terms of ~/terms
 
 
 class Controller(Managed):
@@ -115,17 +114,15 @@ class Controller(Managed):
         if self._values["autostart"]:
             self.autostart()
 
-    def _build(self, values: Values) -> Built:
+    def _build(self, values: Values) -> Any:
         if refusal := self._supervisor.period_refusal(parameter.number(values, "sample_period")):
             raise ParameterError(refusal)
-        chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
-        return build.law_params(values, self._values), named_terms(chosen)
+        return build.law_params(values, self._values)
 
-    def _apply(self, values: Values, built: Built) -> None:
-        params, terms = built
+    def _apply(self, values: Values, built: Any) -> None:
         self._values = values
-        self._supervisor.apply(values, params)
-        self._params = params
+        self._supervisor.apply(values, built)
+        self._params = built
         self._period = parameter.number(values, "sample_period")
         self._paced = parameter.number(values, "lvdt.period_limit") < rate.ANY
         self._journal_topics.period = parameter.number(values, "memory_period")
@@ -133,7 +130,7 @@ class Controller(Managed):
         # Half a period more than the last reading that may still come in time.
         self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
         every = int(parameter.number(values, "state_decimation"))
-        self._telemetry.apply(self._supervisor.labels(), terms, every)
+        self._telemetry.apply(self._supervisor.labels(), every)
         self._unchecked = True
         self._journal_topics.publish()
 
