@@ -95,7 +95,7 @@ ANY = {
     "recorder": "The recorder subscribes to the topics of all valves, or to those that `topics` names.",
     "axis_simulator": "The process also has a node `valve_simulator`, the valve that feeds the axis, with "
     "its own topics, services and parameters.",
-    "manifold": "The manifold hosts one `controller` or `valve_simulator` for each valve, in its namespace.",
+    "manifold": "The manifold hosts one `controller` for each valve, in its namespace.",
     "dashboard": "The dashboard subscribes, best effort, to the topics of all valves on the graph.",
 }
 QOS = {
