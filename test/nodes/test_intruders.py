@@ -36,7 +36,7 @@ class Ear:
         spin_until(self.ros, lambda: word not in self.said.get(name, word), f"no '{word}' of {name}")
 
 
-ANOTHER = "another publisher on valve_voltage controls this valve, so this controller has deactivated itself"
+ANOTHER = "another publisher on valve_voltage controls this valve: end it, then activate this controller"
 
 
 def test_of_two_controllers_on_one_valve_the_second_deactivates_itself(ros, tmp_path):

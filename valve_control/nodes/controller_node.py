@@ -61,10 +61,7 @@ WATCH_GRAPH = 0.1  # s between two looks at who publishes and reads, and between
 LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 NEVER = math.inf
 LOOK = 0.65  # of a period after a reading, when commands are taken: for the next reading it is late
-RIVAL = (
-    "another publisher on valve_voltage controls this valve, so this controller has deactivated itself; "
-    "end the other one, then activate this one"
-)
+RIVAL = "another publisher on valve_voltage controls this valve: end it, then activate this controller"
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
 
 
@@ -96,7 +93,6 @@ class Controller(Managed):
         self._telemetry = Telemetry(self)
         self._journal_topics = JournalTopics(self, self._journal, self._supervisor)
         self._timing = Timing()
-        self._last_command = NEVER  # wall time of the last one
         self._commanded = False  # whether there has been an upper level
         self._published = 0  # ns, when the last voltage was
         self._unchecked = False
@@ -327,14 +323,12 @@ class Controller(Managed):
         supervisor, journal, sent = self._supervisor, self._journal, info.get("source_timestamp", 0)
         if not isinstance(message, JointTrajectoryPoint):
             supervisor.command(message, journal.seconds("command", sent * self._paced), since)
-            self._last_command = time.monotonic()
             return
         counts = len(message.positions), len(message.velocities), len(message.accelerations)
         if counts == (1, 1, 1):
             motion = Motion(*message.positions, *message.velocities, *message.accelerations)
             own = message.time_from_start.sec * 10**9 + message.time_from_start.nanosec
             supervisor.trajectory(motion, journal.seconds("trajectory", own or sent), since)
-            self._last_command = time.monotonic()
         else:
             supervisor.trajectory_refused(*counts)
 
@@ -477,8 +471,6 @@ class Controller(Managed):
         }
         if memory.samples:
             values["saturation_share"] = f"{memory.counts['saturated'] / memory.samples:.4f}"
-        if math.isfinite(self._last_command):
-            values["command_age_s"] = f"{time.monotonic() - self._last_command:.4f}"
         if supervisor.theta is not None:
             values["theta"] = ", ".join(f"{v:.6g}" for v in supervisor.theta)
         values |= {name: f"{v:.6g}" for name, v in supervisor.assumed.items()}
