@@ -238,7 +238,7 @@ class Recorder(Worker):
     # The graph
 
     def _look(self) -> None:
-        """Subscribe to new topics, note who publishes, and warn at once of what is not recorded."""
+        """Subscribe to new topics, and warn at once of what is not recorded."""
         warnings = set()
         for name, _ in self.get_topic_names_and_types():
             known = name in self._topics or any(p.fullmatch(name) for p in self._settings.patterns)
