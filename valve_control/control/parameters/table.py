@@ -8,7 +8,7 @@ from valve_control.control.parameters.valve import VALVE as VALVE
 from valve_control.parameter import Parameter, Table, running
 
 MANIFOLD: Table = running(
-    Parameter("valves", ["valve_1", "valve_2"], "", "names of the valves; each gets a namespace and a controller"),
+    Parameter("valves", ["valve_1", "valve_2"], "", "names of the valves; each gets a namespace and a node"),
 )
 
 RECORDER: Table = running(
