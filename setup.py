@@ -28,7 +28,6 @@ setup(
         (f"share/{NAME}/config/demo", glob("config/demo/*")),
         (f"share/{NAME}/config/tuned", glob("config/tuned/*")),
         (f"share/{NAME}/config/commands", glob("config/commands/*")),
-        (f"share/{NAME}/config/layouts", glob("config/layouts/*")),
         (f"share/{NAME}/config/axis", glob("config/axis/*.yaml")),
         (f"share/{NAME}/config/solenoid", glob("config/solenoid/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.xml")),

@@ -48,7 +48,7 @@ CONTROLLER = (
         "reception",
         "refused_starts",
     ),
-    *("restart", "terms", "trajectory", "unnumbered"),
+    *("restart", "trajectory", "unnumbered"),
 )
 DEVICES = (
     *("axis", "device_controller", "exit", "fieldbus", "rclpy_internals", "services", "transport"),

@@ -75,7 +75,6 @@ MEANINGS = {
     "spool_position": "LVDT reading [V], the clock of the loop",
     "valve_voltage": "solenoid voltage [V], one for each reading",
     "~/state": "terms of law and supervisor, names in `layout.dim`, every `state_decimation`-th one",
-    "~/terms/NAME": "one of these terms, for each name in `state_topics`",
     "~/journal": "all inputs and outputs of the controller, one row each, every 0.1 s",
     "~/memory": "state of the controller and its parameters, as JSON, every `memory_period`",
     "/diagnostics": "mode, reasons and counts, once a second and at once with each change",
@@ -96,7 +95,7 @@ ANY = {
     "recorder": "The recorder subscribes to the topics of all valves, or to those that `topics` names.",
     "axis_simulator": "The process also has a node `valve_simulator`, the valve that feeds the axis, with "
     "its own topics, services and parameters.",
-    "manifold": "The manifold hosts one `controller` or `valve_simulator` for each valve, in its namespace.",
+    "manifold": "The manifold hosts one `controller` for each valve, in its namespace.",
     "dashboard": "The dashboard subscribes, best effort, to the topics of all valves on the graph.",
 }
 QOS = {

@@ -153,7 +153,7 @@ def test_models_are_written_in_an_order_in_which_param_load_can_load_them(tmp_pa
         ({"save_file": "'x'"}, "save_file"),
         ({"save_file": "a: b"}, "save_file"),
         ({"arc.epsilon": 1.5e-05, "arc.k1": 1e15, "save_file": "", "realtime.cpus": "2,3"}, None),
-        ({"controller": "pid", "state_topics": [""], "realtime.lock_memory": False}, None),
+        ({"controller": "pid", "realtime.lock_memory": False}, None),
     ],
 )
 def test_a_file_says_so_if_param_load_would_change_a_type(tmp_path, values, word):

@@ -4,11 +4,14 @@
 
 import signal
 import time
+from types import SimpleNamespace
 
 import pytest
 from bench import controller, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
 from std_msgs.msg import Float32
+from test_lifecycle import change, state
 
 from research.campaigns.processes import process
 from valve_control.nodes import right_of_way
@@ -33,28 +36,58 @@ class Ear:
         spin_until(self.ros, lambda: word not in self.said.get(name, word), f"no '{word}' of {name}")
 
 
-STANDS_BY = "another publisher on valve_voltage controls this valve"
+ANOTHER = "another publisher on valve_voltage controls this valve: end it, then activate this controller"
 
 
-def test_of_two_controllers_on_one_valve_the_second_stands_by_until_the_first_ends(ros, tmp_path):
+def test_of_two_controllers_on_one_valve_the_second_deactivates_itself(ros, tmp_path):
     """A third one that only publishes is reported by all."""
     ear, second = Ear(ros), ["-r", "__node:=other", "-p", "command_timeout:=0.0"]
     with process("valve_simulator", [], tmp_path / "valve.log"), controller(tmp_path) as first:
         ear.hear("controller", "no command yet")
         time.sleep(right_of_way.YOUNG)
         with process("controller", second, tmp_path / "other.log"):
-            for node in ("controller", "other"):
-                ear.hear(node, "2 publishers on valve_voltage")
-            ear.hear("other", STANDS_BY)
-        ear.hear_no_more("controller", "2 publishers on valve_voltage")
-        assert STANDS_BY not in (tmp_path / "c.log").read_text()
-        ear.said.clear()
-        with process("controller", second, tmp_path / "other_again.log"):
-            ear.hear("other", STANDS_BY)
+            ear.hear("controller", "2 publishers on valve_voltage")
+            ear.hear("other", ANOTHER)
+            assert state(ros, "other") == "inactive" and state(ros, "controller") == "active"
             first.send_signal(signal.SIGTERM)
             first.wait(10.0)
-            ear.hear_no_more("other", STANDS_BY)
+            assert change(ros, "other", Transition.TRANSITION_ACTIVATE)
             ear.hear("other", "no command yet")
+    assert ANOTHER not in (tmp_path / "c.log").read_text()
+
+
+class Voltages:
+    """Voltages that have come to a subscription."""
+
+    waiting = 0
+
+    def __init__(self, *arguments):
+        """Whatever the node and its topic are."""
+
+    def take(self):
+        taken, self.waiting = self.waiting, 0
+        return [0.0] * taken
+
+    def destroy(self):
+        self.waiting = 0
+
+
+@pytest.mark.parametrize(("given", "windows"), [(0, 1), (2000, right_of_way.BOTH)])
+def test_an_old_controller_stops_later_than_a_young_one(monkeypatch, given, windows):
+    """Two old ones that meet late both stop; few voltages of others are an error of the count."""
+    now, period = [0.0], 0.001
+    monkeypatch.setattr(right_of_way, "NumberSubscription", Voltages)
+    monkeypatch.setattr(right_of_way, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    rivals, stops = right_of_way.Rivals(None), []
+    rivals.given = given
+    rivals.listen(True, period)
+    for others in (0, right_of_way.MOST, *[200] * windows):
+        assert not rivals.control(period), "the window has not ended"
+        now[0] += right_of_way.WINDOW
+        rivals.given += 200
+        rivals._subscription.waiting = 200 + others
+        stops.append(rivals.control(period))
+    assert stops == [False] * (windows + 1) + [True]
 
 
 def test_a_publisher_of_another_message_type_is_named_as_such(ros, tmp_path):
@@ -66,27 +99,3 @@ def test_a_publisher_of_another_message_type_is_named_as_such(ros, tmp_path):
         ear.hear("controller", word)
         ros.destroy_publisher(wrong)
         ear.hear_no_more("controller", word)
-
-
-def alone(ways, gids, age, windows=40):
-    """The windows in which each of several controllers, active since ``age`` [s], gives voltages."""
-    ages, given = list(age), []
-    for _ in range(windows):
-        gives = [not way.stands_by for way in ways]
-        given.append(gives)
-        after = []
-        for i, way in enumerate(ways):
-            others = 200 * (sum(gives) - gives[i])
-            after.append(right_of_way.step(way, others, ages[i], gids[i] == min(gids)))
-            ages[i] = 0.0 if way.stands_by and not after[i].stands_by else ages[i] + 0.2
-        ways = after
-    return given
-
-
-@pytest.mark.parametrize("gids", [(1, 2), (2, 1)])
-@pytest.mark.parametrize("age", [(9.0, 0.0), (0.0, 9.0), (0.0, 0.0), (9.0, 9.0)])
-def test_of_two_that_run_exactly_one_goes_on(gids, age):
-    """The older one; of two that began together, or that meet late, the one with the smaller GID."""
-    given = alone([right_of_way.ACTIVE, right_of_way.ACTIVE], gids, age)
-    assert all(sum(gives) == 1 for gives in given[10:]) and all(gives == given[10] for gives in given[10:])
-    assert given[10].index(True) == (gids.index(1) if age[0] == age[1] else age.index(9.0))

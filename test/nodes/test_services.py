@@ -48,7 +48,7 @@ def test_reset_puts_the_estimates_back_without_a_bump_and_diagnostics_have_the_f
         motion.move(299)
         got = diagnostics(ros, "controller")
     wanted = """mode samples lvdt_lost lvdt_refused command_refused command_limited overruns saturation_share
-        command_age_s period_ms jitter_ms_p99 latency_ms_p50 latency_ms_p99 latency_ms_max step_ms_p50
+        period_ms jitter_ms_p99 latency_ms_p50 latency_ms_p99 latency_ms_max step_ms_p50
         theta lyapunov lyapunov_bound scheduler cpus locked_memory_kB assumption_violations"""
     assert set(wanted.split()) <= set(got)
     assert got["message"] == "controlling" and int(got["samples"]) >= 900

@@ -14,7 +14,9 @@ import pytest
 import rclpy
 from bench import LIMIT, controller, process, set_parameters, spin_until
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
 from std_msgs.msg import Float64
+from test_lifecycle import change
 
 sys.path.insert(0, os.path.join(os.path.dirname(__file__), "..", "drivers"))
 from examples import serial_card
@@ -130,7 +132,7 @@ def test_each_reading_is_answered_and_the_law_moves_the_spool(ros, tmp_path, car
         assert card.voltage == 0.0 and not card._asked
 
 
-def test_the_output_follows_enable_and_an_open_device_keeps_its_scales(ros, tmp_path, card):
+def test_the_output_follows_the_state_and_an_open_device_keeps_its_scales(ros, tmp_path, card):
     told = Told(ros)
     voltage = ros.create_publisher(Float64, "valve_voltage", 10)
 
@@ -153,12 +155,12 @@ def test_the_output_follows_enable_and_an_open_device_keeps_its_scales(ros, tmp_
         voltage.publish(Float64(data=math.nan))
         run(ros, card, lambda: card.voltage == 0.0, "0 V for NaN")
         run(ros, card, lambda: "voltage_not_finite" in told.seen, "condition")
-        assert set_parameters(ros, "valve_driver", enable=False).successful
+        assert change(ros, "valve_driver", Transition.TRANSITION_DEACTIVATE)
         run(ros, card, lambda: not card._asked, "output off")
         voltage.publish(Float64(data=3.0))
-        run(ros, card, lambda: "disabled" in told.seen, "condition")
+        run(ros, card, lambda: told.status.message == "inactive", "the state")
         assert not card._asked and card.voltage == 0.0
-        assert set_parameters(ros, "valve_driver", enable=True).successful
+        assert change(ros, "valve_driver", Transition.TRANSITION_ACTIVATE)
         run(ros, card, driven(3.0), "3 V again")
 
 

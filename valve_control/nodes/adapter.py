@@ -85,13 +85,6 @@ def with_numbers(table: Table, parameters: Sequence[Any]) -> list[Any]:
     return made
 
 
-class Undeclared(ParameterNotDeclaredException):
-    """Names all parameters that were set and do not exist; rclpy's own error leaves out the first."""
-
-    def __init__(self, text: str) -> None:
-        Exception.__init__(self, text)
-
-
 def admit(node: Node, nodes: Mapping[str, Table]) -> None:
     """Check the command line for the process's ``nodes`` (tables by full name); ``node`` logs the warnings.
 
@@ -170,7 +163,9 @@ class ParameterSet:
     def _known(self, parameters: list[Any]) -> list[Any]:
         unknown = [p.name for p in parameters if not self._node.has_parameter(p.name)]
         if unknown:
-            raise Undeclared(missing(self._table, unknown))
+            error = ParameterNotDeclaredException(unknown)
+            error.args = (missing(self._table, unknown),)  # rclpy's own text leaves out the first
+            raise error
         return with_numbers(self._table, parameters)
 
     def _changes(self, parameters: list[Any]) -> Values:
@@ -331,6 +326,8 @@ class Diagnostics:
         """
         if not getattr(self._node, "working", True):
             level, message = DiagnosticStatus.OK, "inactive" if self._node.configured else "unconfigured"
+            if self._node.halted:
+                level, message = DiagnosticStatus.ERROR, self._node.halted
         stamp = self._node.get_clock().now().to_msg()
 
         def pieces() -> Iterator[None]:

@@ -37,7 +37,7 @@ SHAPING = [p.name for p in COMMAND if not p.name.startswith("fault.")]
 class CommandSource(Worker):
     """Publishes `spool_command` (or `spool_trajectory`), from the moment on at which enough others listen.
 
-    Once per sample period, LVDT reading or voltage, or every few of them. A change of its shape starts it
+    Once per sample period, LVDT reading or voltage. A change of its shape starts it
     from its beginning; at the end the last value is held. In lockstep the first command is for the first
     reading, and each reading calls for the command of the next.
     """
@@ -67,10 +67,6 @@ class CommandSource(Worker):
 
     def _build(self, values: Values) -> Any:
         """Commands [V] of the shape; an hour of them takes a second, so only a new shape is computed."""
-        if values["trigger"] == "lockstep" and values["every"] != 1:
-            raise ParameterError(
-                f"every is {values['every']}; in lockstep there is a command for each reading"
-            )
         if values["trigger"] == "lockstep" and values["fault.command"] == "silent":
             raise ParameterError(
                 "fault.command is silent, but in lockstep each reading waits for its command"
@@ -95,7 +91,6 @@ class CommandSource(Worker):
             self._motion = functools.partial(scenarios.command, build.shape(values))
         self._commands = commands
         self._rates, self._accels = build.derivatives(commands, number(values, "sample_period"))
-        self._every = int(number(values, "every"))
         self._turn = -1
         self._listeners = int(number(values, "listeners"))
         self._period = number(values, "sample_period")
@@ -176,10 +171,10 @@ class CommandSource(Worker):
     def _publish(self, index: int, time: float = math.nan) -> None:
         """Send the command of the sample ``index``, or of the ``time`` [s] at which a timer sends it."""
         trajectory = self._message == "trajectory"
-        if (self._every > 1 or trajectory) and index // self._every == self._turn:
+        if trajectory and index == self._turn:
             return
         self._last_time = self._epoch + index * self._period
-        self._turn = index // self._every
+        self._turn = index
         rate = accel = 0.0
         if index < len(self._commands):
             rate, accel = self._rates[index], self._accels[index]

@@ -27,7 +27,7 @@ from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.supervision import rate
 from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.journal import OBSERVED, TYPES, Journal
-from valve_control.control.supervision.record import Mode, named_terms
+from valve_control.control.supervision.record import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
@@ -61,9 +61,8 @@ WATCH_GRAPH = 0.1  # s between two looks at who publishes and reads, and between
 LAST_WORD = 0.2  # s to see the last voltage of 0 V received
 NEVER = math.inf
 LOOK = 0.65  # of a period after a reading, when commands are taken: for the next reading it is late
-STANDS_BY = "another publisher on valve_voltage controls this valve, so this controller does not"
+RIVAL = "another publisher on valve_voltage controls this valve: end it, then activate this controller"
 QUIET = 0.05  # s between two changes that are told, but safe mode at once; each costs two periods or more
-Built = tuple[Any, tuple[str, ...]]  # Params of the law, and terms of ~/terms
 
 
 class Controller(Managed):
@@ -94,7 +93,6 @@ class Controller(Managed):
         self._telemetry = Telemetry(self)
         self._journal_topics = JournalTopics(self, self._journal, self._supervisor)
         self._timing = Timing()
-        self._last_command = NEVER  # wall time of the last one
         self._commanded = False  # whether there has been an upper level
         self._published = 0  # ns, when the last voltage was
         self._unchecked = False
@@ -112,17 +110,15 @@ class Controller(Managed):
         if self._values["autostart"]:
             self.autostart()
 
-    def _build(self, values: Values) -> Built:
+    def _build(self, values: Values) -> Any:
         if refusal := self._supervisor.period_refusal(parameter.number(values, "sample_period")):
             raise ParameterError(refusal)
-        chosen = [str(name) for name in parameter.items(values, "state_topics") if name]
-        return build.law_params(values, self._values), named_terms(chosen)
+        return build.law_params(values, self._values)
 
-    def _apply(self, values: Values, built: Built) -> None:
-        params, terms = built
+    def _apply(self, values: Values, built: Any) -> None:
         self._values = values
-        self._supervisor.apply(values, params)
-        self._params = params
+        self._supervisor.apply(values, built)
+        self._params = built
         self._period = parameter.number(values, "sample_period")
         self._paced = parameter.number(values, "lvdt.period_limit") < rate.ANY
         self._journal_topics.period = parameter.number(values, "memory_period")
@@ -130,7 +126,7 @@ class Controller(Managed):
         # Half a period more than the last reading that may still come in time.
         self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
         every = int(parameter.number(values, "state_decimation"))
-        self._telemetry.apply(self._supervisor.labels(), terms, every)
+        self._telemetry.apply(self._supervisor.labels(), every)
         self._unchecked = True
         self._journal_topics.publish()
 
@@ -138,9 +134,7 @@ class Controller(Managed):
 
     def open(self) -> None:
         """Create publishers and subscriptions."""
-        before = self._rivals.publishers()
         self._voltages = self.create_publisher(Float64, "valve_voltage", SAMPLES)
-        self._rivals.know_own(before)
         self._send_voltage = sender(self._voltages)
         self._telemetry.open()
         self._journal_topics.open()
@@ -156,14 +150,9 @@ class Controller(Managed):
         """Readings of the LVDT with their numbers."""
         return NumberSubscription(self, "spool_position", qos)
 
-    def close(self) -> None:
-        """Destroy publishers and subscriptions."""
-        self._rivals.listen(False, self._period)
-        super().close()
-
     def begin(self) -> None:
         """Start from rest; messages that already wait are stale and dropped, but not in lockstep."""
-        self._rivals.begin()
+        self._rivals.given = 0
         if not self._in_lockstep:
             for topic in (self._readings, self._commands, self._trajectories):
                 for _ in topic.take():
@@ -184,9 +173,8 @@ class Controller(Managed):
 
     def end(self) -> None:
         """Publish 0 V once and stop."""
-        voltage = self._supervisor.stop()
-        if not self._rivals.stands_by:
-            self._publish(voltage)
+        self._publish(self._supervisor.stop())
+        self._rivals.listen(False, self._period)
         self._journal_topics.publish()
         self._watch_at = NEVER
         self.get_logger().info("inactive, 0 V")
@@ -223,8 +211,7 @@ class Controller(Managed):
             return taken is not None
         worked = False
         for reading, info in self._readings.take():
-            if not self._rivals.stands_by:
-                self._answer(reading, info)
+            self._answer(reading, info)
             worked = True
         now = time.monotonic()
         if self._look_at <= now < self._watch_at and not worked:
@@ -286,7 +273,6 @@ class Controller(Managed):
         ended = time.monotonic()
         latency = (self._published - info["source_timestamp"]) * 1e-9
         self._timing.note(began, ended, latency, self._period)
-        self._rivals.answered(began)
         if not self._in_lockstep:
             if self._alone:
                 self._look_at = began + LOOK * self._period
@@ -337,14 +323,12 @@ class Controller(Managed):
         supervisor, journal, sent = self._supervisor, self._journal, info.get("source_timestamp", 0)
         if not isinstance(message, JointTrajectoryPoint):
             supervisor.command(message, journal.seconds("command", sent * self._paced), since)
-            self._last_command = time.monotonic()
             return
         counts = len(message.positions), len(message.velocities), len(message.accelerations)
         if counts == (1, 1, 1):
             motion = Motion(*message.positions, *message.velocities, *message.accelerations)
             own = message.time_from_start.sec * 10**9 + message.time_from_start.nanosec
             supervisor.trajectory(motion, journal.seconds("trajectory", own or sent), since)
-            self._last_command = time.monotonic()
         else:
             supervisor.trajectory_refused(*counts)
 
@@ -375,17 +359,10 @@ class Controller(Managed):
                 self._supervisor.trajectory_gone()
 
     def _give_way(self, several: bool) -> None:
-        """Stop while somebody else controls this valve, and begin again when he does not."""
-        others = several or self._rivals.stands_by
-        self._rivals.listen(others and self.working and not self._in_lockstep, self._period)
-        if not self._rivals.changed(self._period):
-            return
-        if self._rivals.stands_by:
-            self._publish(self._supervisor.stop())
-            self._watch_at = self._look_at = NEVER
-            self.get_logger().error(f"safe: {STANDS_BY}")
-        else:
-            self.begin()
+        """Deactivate this controller if somebody else controls the valve."""
+        self._rivals.listen(several and self.working and not self._in_lockstep, self._period)
+        if self._rivals.control(self._period):
+            self.halt(RIVAL)
 
     def _check_stability(self) -> None:
         """Warn about unstable gains: in a thread, since the check takes up to twenty periods."""
@@ -478,8 +455,6 @@ class Controller(Managed):
 
     def _status(self) -> tuple[bytes, str]:
         """Level and sentence of the diagnostics."""
-        if self._rivals.stands_by:
-            return DiagnosticStatus.ERROR, f"{STANDS_BY}; {self._supervisor.reason}"
         return LEVELS[self._supervisor.mode], self._supervisor.reason
 
     def _figures(self) -> dict[str, Any]:
@@ -496,8 +471,6 @@ class Controller(Managed):
         }
         if memory.samples:
             values["saturation_share"] = f"{memory.counts['saturated'] / memory.samples:.4f}"
-        if math.isfinite(self._last_command):
-            values["command_age_s"] = f"{time.monotonic() - self._last_command:.4f}"
         if supervisor.theta is not None:
             values["theta"] = ", ".join(f"{v:.6g}" for v in supervisor.theta)
         values |= {name: f"{v:.6g}" for name, v in supervisor.assumed.items()}

@@ -15,7 +15,7 @@ from valve_control.control.parameters import drivers
 from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.parameters.drivers import DEVICE, LIVE
 from valve_control.nodes.adapter import SAMPLES, PolledSubscription, encoded
-from valve_control.nodes.controller_node import Built, Controller
+from valve_control.nodes.controller_node import Controller
 from valve_control.nodes.device_node import LEVELS, MOST_MISSING, DeviceNode
 from valve_control.nodes.rclpy_internals import sender
 from valve_control.parameter import ParameterError, Values, word
@@ -60,7 +60,7 @@ class DeviceController(DeviceNode, Controller):
         self._given: list[float] = []  # V, to be published
         super().__init__(alone=alone, **options)
 
-    def _build(self, values: Values) -> Built:
+    def _build(self, values: Values) -> Any:
         self.refuse_changes(values)
         if not (drivers.device(values).polled or self._alone):
             raise ParameterError(
@@ -71,7 +71,7 @@ class DeviceController(DeviceNode, Controller):
             raise ParameterError("lockstep is true, but a device keeps its own time; set lockstep to false")
         return super()._build(values)
 
-    def _apply(self, values: Values, built: Built) -> None:
+    def _apply(self, values: Values, built: Any) -> None:
         self.use(values)
         super()._apply({name: value for name, value in values.items() if name in OWN}, built)
 

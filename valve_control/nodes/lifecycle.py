@@ -20,6 +20,7 @@ class Managed(LifecycleNode, Worker):
 
     def __init__(self, name: str, **options: Any) -> None:
         self.working = self.configured = False
+        self.halted = ""  # why the node has deactivated itself; "": it has not
         super().__init__(name, **options)
         # A transition that does not exist from the present state would end the process otherwise.
         answer = self._service_change_state.callback
@@ -68,6 +69,7 @@ class Managed(LifecycleNode, Worker):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Transition from inactive to active."""
+        self.halted = ""
         self.begin()
         self.working = True
         return TransitionCallbackReturn.SUCCESS
@@ -77,6 +79,12 @@ class Managed(LifecycleNode, Worker):
         self.working = False
         self.end()
         return TransitionCallbackReturn.SUCCESS
+
+    def halt(self, reason: str) -> None:
+        """Deactivate the node itself; the diagnostics give the ``reason`` until it is active again."""
+        self.halted = reason
+        self.get_logger().error(reason)
+        self.trigger_deactivate()
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Transition from inactive to unconfigured."""

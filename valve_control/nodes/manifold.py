@@ -1,20 +1,18 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the node `manifold`: one process with the controllers (or simulators) of several valves."""
+"""Runs the node `manifold`: one process with the controllers of several valves."""
 
 import re
 import sys
 from collections.abc import Sequence
 from typing import Any
 
-from valve_control.control.parameters.table import MANIFOLD, NODES
+from valve_control.control.parameters.table import MANIFOLD
 from valve_control.nodes.adapter import ParameterSet, admit, has_override
 from valve_control.nodes.controller_node import Controller
 from valve_control.nodes.loop import Worker, run
-from valve_control.nodes.valve_simulator import ValveSimulator
-from valve_control.parameter import ParameterError, Values, items, word
+from valve_control.parameter import ParameterError, Values, items
 
-KINDS: dict[str, Any] = {"controller": Controller, "valve_simulator": ValveSimulator}
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*$")
 
 
@@ -60,19 +58,16 @@ class Manifold(Worker):
 
     def host(self) -> list[Any]:
         """Create the nodes of all valves."""
-        kind, valves = word(self._settings.values, "node"), self._settings.built
-        space = self.get_namespace().rstrip("/")
-        made = []
-        hosts = [f"{space}/{name}/{kind}" for name in valves]
-        kind_of_node, table = KINDS[kind], NODES[kind]
-        if kind == "controller" and _beside(hosts):
+        valves, space = self._settings.built, self.get_namespace().rstrip("/")
+        hosts = [f"{space}/{name}/controller" for name in valves]
+        kind: type[Controller] = Controller
+        if _beside(hosts):
             from valve_control.nodes.device_controller import DeviceController  # which brings all drivers
 
-            kind_of_node, table = DeviceController, DeviceController.table
-        admit(self, {self.get_fully_qualified_name(): MANIFOLD, **dict.fromkeys(hosts, table)})
-        for host in hosts:
-            made.append(kind_of_node(alone=False, cli_args=remapped(host)))
-        self.get_logger().info(f"{len(made)} x {kind}: {', '.join(valves)}")
+            kind = DeviceController
+        admit(self, {self.get_fully_qualified_name(): MANIFOLD, **dict.fromkeys(hosts, kind.table)})
+        made = [kind(alone=False, cli_args=remapped(host)) for host in hosts]
+        self.get_logger().info(f"{len(made)} controllers: {', '.join(valves)}")
         return made
 
 

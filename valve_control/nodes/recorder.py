@@ -3,13 +3,11 @@
 """Runs the node `recorder`: writes topics and parameters of the cascade into a bag that survives kills."""
 
 import re
-import shutil
 import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from heapq import merge
-from itertools import count
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -24,7 +22,6 @@ from valve_control.control.parameters.table import RECORDER
 from valve_control.inputs import expanded
 from valve_control.nodes.adapter import (
     EVERYTHING,
-    UNKNOWN,
     Diagnostics,
     ParameterSet,
     PolledSubscription,
@@ -53,8 +50,6 @@ CASCADE: Mapping[str, str] = {
     DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
     "/clock": "rosgraph_msgs/msg/Clock",
 }
-CONTROLLER = re.compile(r".*/controller/(state|journal)")  # topics that a valve's controller publishes
-SIGNALS = ("std_msgs/msg/Float64", "trajectory_msgs/msg/JointTrajectoryPoint")  # what it takes
 POLL = 0.01  # s between two looks at what has come
 LOOK = 0.2  # s between two looks at the graph
 LINGER = 0.2  # s to take the last words of nodes that are stopped together with the recorder
@@ -88,13 +83,8 @@ def settings(values: Values) -> Settings:
         except re.error as error:
             raise ParameterError(f"topics has '{text}', which is no regular expression: {error}") from error
     bag = word(values, "bag")
-    folder = expanded(bag, "bag") if bag else unused(time.strftime("valve_bag_%Y%m%d_%H%M%S"))
+    folder = expanded(bag, "bag") if bag else Path(time.strftime("valve_bag_%Y%m%d_%H%M%S"))
     return Settings(folder, storage, patterns, bool(chosen))
-
-
-def unused(name: str) -> Path:
-    """Folder ``name``, or with a number behind it if that exists already."""
-    return next(path for n in count(1) if not (path := Path(f"{name}_{n}" if n > 1 else name)).exists())
 
 
 def offered(profile: QoSProfile) -> Qos:
@@ -134,13 +124,8 @@ class Recorded:
         self.type_name = type_name
         self._node = node
         self._type = message_type
-        self._publishers: set[bytes] = set()
-        self._number: int | None = None  # of the last message
-        self._missing = 0  # numbers since the last look at the publishers
         self._qos: tuple[ReliabilityPolicy, DurabilityPolicy] | None = None
         self.subscription: PolledSubscription | None = None
-        self.lost = 0
-        self.numbered = True  # whether its messages have numbers
 
     def adapt(self, profiles: Sequence[QoSProfile]) -> list[tuple[Any, dict[str, Any]]]:
         """Subscribe with a QoS that matches all publishers; returns what waited on the old subscription."""
@@ -164,22 +149,6 @@ class Recorded:
         before.destroy()
         return rest
 
-    def count(self, number: int) -> None:
-        """Count the numbers that are missing before ``number``; 0 is none."""
-        self.numbered = number > 0
-        if self._number is not None and number > self._number:
-            self._missing += number - self._number - 1
-        self._number = number
-
-    def look(self, publishers: set[bytes]) -> None:
-        """Take in who publishes; numbers show losses only if one and the same publisher gave them all."""
-        if len(publishers) == 1 and publishers == self._publishers:
-            self.lost += self._missing
-        else:
-            self._number = None
-        self._missing = 0
-        self._publishers = publishers
-
 
 class Recorder(Worker):
     """Subscribes to matching topics as they appear, polls them, and writes their messages into the bag."""
@@ -190,18 +159,12 @@ class Recorder(Worker):
         chosen = ParameterSet(self, RECORDER, settings, fixed=fixed)
         use = self._settings = chosen.built
         self._flush_period = parameter.number(chosen.values, "flush_period")
-        self._min_free = parameter.number(chosen.values, "min_free")  # MB
         self._topics: dict[str, Recorded] = {}
         self._left_out: set[str] = set()
-        self._overlooked: dict[str, str] = {}  # what a controller takes and no pattern names → what is said
         self._warnings: set[str] = set()  # that hold now
-        self._logged: set[str] = set()  # warnings
         self._diagnostics = Diagnostics(self)
         self._definitions = Definitions()
         self._failed = False
-        self._unnumbered = False  # whether there is a topic whose messages have no numbers
-        if reason := self._short_of_room(use.folder.absolute().parent):
-            raise Failure(reason)
         try:
             self._writer = BagWriter(use.folder, use.storage, compression=word(chosen.values, "compression"))
         except BagError as error:
@@ -236,8 +199,6 @@ class Recorder(Worker):
                 self._flush_at = now + self._flush_period
                 self._writer.check_place()
                 self._writer.flush()
-                if reason := self._short_of_room(self._settings.folder):
-                    self._fail(reason)
         except BagError as error:
             self._fail(str(error))
         if now >= self._status_at:
@@ -259,30 +220,14 @@ class Recorder(Worker):
         return any(taken)
 
     def _write(self, topic: Recorded, received: int, data: bytes, info: dict[str, Any]) -> None:
-        number = number_of(info)
-        topic.count(number)
-        if not (topic.numbered or self._unnumbered):
-            self._unnumbered = True
-            self.get_logger().warning(UNKNOWN)
         if topic.name == EVENTS:
             self._captured.observe(data)
-        self._writer.write(topic.name, received, info["source_timestamp"] or received, number, data)
+        sent = info["source_timestamp"] or received
+        self._writer.write(topic.name, received, sent, number_of(info), data)
 
     def _write_parameters(self, data: bytes) -> None:
         now = time.time_ns()
         self._writer.write(EVENTS, now, now, 0, self._definitions.trimmed(data, EVENT_TYPE))
-
-    def _short_of_room(self, folder: Path) -> str:
-        """One sentence if the disk of ``folder`` has less than min_free, else ""."""
-        while not folder.exists():
-            folder = folder.parent
-        free = shutil.disk_usage(folder).free
-        if free >= self._min_free * MB:
-            return ""
-        return (
-            f"the recording ends: the disk of {folder} has {free / MB:.0f} MB free, "
-            f"less than min_free, {self._min_free:g} MB"
-        )
 
     def _fail(self, reason: str) -> NoReturn:
         self._failed = True
@@ -293,7 +238,7 @@ class Recorder(Worker):
     # The graph
 
     def _look(self) -> None:
-        """Subscribe to new topics, note who publishes, and warn at once of what is not recorded."""
+        """Subscribe to new topics, and warn at once of what is not recorded."""
         warnings = set()
         for name, _ in self.get_topic_names_and_types():
             known = name in self._topics or any(p.fullmatch(name) for p in self._settings.patterns)
@@ -305,7 +250,6 @@ class Recorder(Worker):
             if ours and name not in self._topics:
                 self._record(name, type_name, ours)
             if topic := self._topics.get(name):
-                topic.look({bytes(info.endpoint_gid) for info in ours})
                 for data, info in topic.adapt([info.qos_profile for info in ours]) if ours else ():
                     self._write(topic, info["received_timestamp"] or time.time_ns(), data, info)
             warnings |= {
@@ -314,30 +258,12 @@ class Recorder(Worker):
                 for info in infos
                 if info.topic_type != type_name
             }
-            if CONTROLLER.fullmatch(name) and not self._settings.chosen:
-                for info in ours:
-                    self._look_at_controller(info.node_name, info.node_namespace)
-        warnings.update(self._overlooked.values())
-        for text in sorted(warnings - self._logged):
+        for text in sorted(warnings - self._warnings):
             self.get_logger().warning(text)
-        self._logged = warnings
         if warnings != self._warnings:
             self._warnings = warnings
             self._publish_status()
         self._captured.look()
-
-    def _look_at_controller(self, name: str, namespace: str) -> None:
-        """Note signals that a controller takes under other names than those that are recorded."""
-        try:
-            taken = self.get_subscriber_names_and_types_by_node(name, namespace)
-        except RuntimeError:  # it has just gone, or its name is not known yet
-            return
-        for topic, types in taken:
-            named = any(pattern.fullmatch(topic) for pattern in self._settings.patterns)
-            if not named and set(types) & {*SIGNALS} and self.count_publishers(topic):
-                node = f"{namespace.rstrip('/')}/{name}"
-                text = f"{node} takes {topic}, which is not recorded: name it in topics"
-                self._overlooked.setdefault(topic, text)
 
     def _type_of(self, name: str, infos: Sequence[Any]) -> str:
         """Type with which this package's nodes use a topic, else the most frequent one.
@@ -391,7 +317,6 @@ class Recorder(Worker):
             "bag": outputs.shown(self._settings.folder),
             "topics": len(self._topics),
             "messages": self._writer.message_count,
-            "lost": self._lost(),
             "MB": f"{self._writer.total_bytes / MB:.1f}",
         }
 
@@ -399,9 +324,6 @@ class Recorder(Worker):
         """Wait until the reason of the end has arrived."""
         if self._failed:
             self._diagnostics.publisher.wait_for_all_acked(Duration(seconds=LAST_WORD))
-
-    def _lost(self) -> str:
-        return "unknown" if self._unnumbered else str(sum(topic.lost for topic in self._topics.values()))
 
     def finish(self) -> None:
         """Write waiting messages, and finish the bag."""
@@ -417,10 +339,8 @@ class Recorder(Worker):
         except BagError as wrong:
             error = wrong
         counts = self._writer.counts
-        for name, topic in sorted(self._topics.items()):
-            self.get_logger().info(
-                f"{name}: {counts[name]} messages, {topic.lost if topic.numbered else 'unknown'} lost"
-            )
+        for name in sorted(self._topics):
+            self.get_logger().info(f"{name}: {counts[name]} messages")
         for name in self._captured.unanswered():
             self.get_logger().warning(
                 f"the bag lacks the parameters of {name}, which did not answer; it has their changes"

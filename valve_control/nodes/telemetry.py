@@ -1,61 +1,44 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of a controller about itself: samples on ~/state and ~/terms, journal and snapshots."""
+"""Topics of a controller about itself: samples on ~/state, journal and snapshots."""
 
 import math
 import time
-from collections.abc import Sequence
 from struct import pack
 from typing import Any
 
-from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout, String
 
 from valve_control.control.supervision.journal import Journal
 from valve_control.control.supervision.state_snapshot import snapshot
 from valve_control.control.supervision.supervisor import Supervisor
-from valve_control.nodes.adapter import SAMPLES, encoded, head
+from valve_control.nodes.adapter import SAMPLES, head
 
 MOST_ROWS = 500  # of the journal at once
 GREETING = 20  # parts of the journal with an account, since who comes does not hear everything at once
 
 
 class Telemetry:
-    """Publishes every n-th sample on ~/state, and chosen numbers of it on ~/terms/NAME."""
+    """Publishes every n-th sample on ~/state."""
 
     def __init__(self, node: Any) -> None:
         self._node = node
         self._labels: tuple[str, ...] = ()
         self._head = b""  # of a serialized ~/state, before its numbers
-        self._chosen: Sequence[str] = ()
         self._every = 0
         self._samples: list[list[float]] = []  # to be published
-        self.terms: dict[str, Any] = {}  # publishers, by name
 
-    def apply(self, labels: tuple[str, ...], chosen: Sequence[str], every: int) -> None:
-        """Numbers with the ``labels`` follow, the ``chosen`` ones on topics of their own; 0: none of them."""
-        self._chosen, self._every = chosen, every
+    def apply(self, labels: tuple[str, ...], every: int) -> None:
+        """Numbers with the ``labels`` follow, of each ``every``-th sample; 0: of none."""
+        self._every = every
         if self._labels != labels:
             self._labels = labels
             dim = [MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
             self._head = head(Float64MultiArray(layout=MultiArrayLayout(dim=dim)), len(labels))
-        if self._node.configured:
-            self._name()
 
     def open(self) -> None:
-        """Create the publishers."""
+        """Create the publisher."""
         self._states = self._node.create_publisher(Float64MultiArray, "~/state", SAMPLES)
-        self.terms.clear()
-        self._name()
-
-    def _name(self) -> None:
-        """Have a publisher for each chosen term, and know where the law in force has it."""
-        for name in self.terms.keys() - set(self._chosen):
-            self._node.destroy_publisher(self.terms.pop(name))
-        for name in self._chosen:
-            if name not in self.terms:
-                self.terms[name] = self._node.create_publisher(Float64, f"~/terms/{name}", SAMPLES)
-        # place in a sample, publisher
-        self._named = [(self._labels.index(n), p) for n, p in self.terms.items() if n in self._labels]
 
     def note(self, supervisor: Supervisor) -> None:
         """Take in the sample that ``supervisor`` has answered, if it is one of those that are published."""
@@ -66,9 +49,6 @@ class Telemetry:
         """Publish what has been taken in."""
         for numbers in self._samples:
             self._states.publish(self._head + pack(f"<{len(numbers)}d", *numbers))
-            for at, publisher in self._named:
-                if not math.isnan(numbers[at]):
-                    publisher.publish(encoded(numbers[at]))
         self._samples.clear()
 
 

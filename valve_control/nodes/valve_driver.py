@@ -32,7 +32,7 @@ from valve_control.nodes.adapter import (
 )
 from valve_control.nodes.device_node import LEVELS, MOST_MISSING, DeviceNode
 from valve_control.nodes.loop import first_line, run, stray_words
-from valve_control.nodes.timing import WINDOW, of_periods, spread
+from valve_control.nodes.timing import WINDOW, of_periods
 from valve_control.parameter import ParameterError, Values, number, word
 
 CHECK = "--check"
@@ -53,17 +53,14 @@ class ValveDriver(DeviceNode):
         super().__init__("valve_driver", **options)
         self._next = NEVER
         self._begun = False
-        self._on = False  # the output, as the parameter enable has it
         self._voltage = 0.0
         self._voltage_at = -NEVER  # s, when the last one came
         self._fed = False  # whether a voltage holds the output
         self._position = math.nan
-        self._published = -NEVER  # s, the last reading
         self._quiet = 0  # waits in a row without a reading
         self._refused = 0.0  # the last voltage that was not finite
         self._refused_until = -NEVER
         self._arrivals: deque[float] = deque(maxlen=WINDOW)
-        self._answers: deque[float] = deque(maxlen=WINDOW)  # s from a reading to its voltage
         self._counts = dict.fromkeys(("late_voltages", "voltage_refused", "voltage_timeouts"), 0)
         self._diagnostics = Diagnostics(self, self._diagnose)
         ParameterSet(self, VALVE_DRIVER, self._build, self._apply)
@@ -80,8 +77,6 @@ class ValveDriver(DeviceNode):
         self.use(values)
         self._watchdog = number(values, "watchdog")
         self._wait = number(values, "answer_share") * number(values, "sample_period")
-        if self.working and self._begun and self._on != (values["enable"] is True):
-            self._switch(values["enable"] is True)
 
     # Life
 
@@ -97,7 +92,6 @@ class ValveDriver(DeviceNode):
         self._quiet = 0
         self._told = ()
         self._arrivals.clear()
-        self._answers.clear()
         self._begun = False
         self._next = 0.0
         self.get_logger().info(
@@ -109,7 +103,6 @@ class ValveDriver(DeviceNode):
         self._switch(False)
 
     def _switch(self, on: bool) -> None:
-        self._on = on
         self.device.enable(on)
         self._voltage, self._fed, self._voltage_at = 0.0, False, -NEVER
 
@@ -129,11 +122,8 @@ class ValveDriver(DeviceNode):
             return False
         if not self._begun:
             self._begun = True
-            self._switch(self.device_values["enable"] is True)
-        if self._take_voltage():
-            if self._arrivals and not self._quiet:  # otherwise it answers no reading
-                self._answers.append(time.monotonic() - self._published)
-        else:
+            self._switch(True)
+        if not self._take_voltage():
             self._repeat()
         reading = self.device.read()
         if reading is None:
@@ -147,9 +137,9 @@ class ValveDriver(DeviceNode):
             self._positions.publish(encoded(math.nan))
         self._positions.publish(encoded(reading.signal))
         self._position = reading.signal
-        self._published = time.monotonic()
-        self._arrivals.append(self._published)
-        self._next = self._published + self._wait
+        now = time.monotonic()
+        self._arrivals.append(now)
+        self._next = now + self._wait
         return True
 
     def _take_voltage(self) -> bool:
@@ -188,11 +178,7 @@ class ValveDriver(DeviceNode):
         """What is wrong now, worst first."""
         found = self.device.conditions()
         own: list[Condition] = []
-        if not self._on:
-            own.append(
-                Condition("disabled", "degraded", "the output is switched off by the parameter enable")
-            )
-        elif self._voltage_at > -NEVER and not self._fed:
+        if self._voltage_at > -NEVER and not self._fed:
             text = f"no valve_voltage for {self._watchdog:g} s: the output is at 0 V"
             own.append(Condition("no_voltage", "safe", text))
         if time.monotonic() < self._refused_until:
@@ -217,7 +203,6 @@ class ValveDriver(DeviceNode):
             text,
             self._figures(conditions),
             lambda: of_periods(self._arrivals, period),
-            lambda: spread("answer_ms", self._answers),
             realtime.obtained,
         )
 

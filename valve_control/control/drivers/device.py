@@ -151,8 +151,8 @@ class Device:
             faults = ", ".join(c.name for c in self._driver.conditions() if c.level == "safe")
             if faults:
                 text = (
-                    f"the device was opened anew after {faults}: the output stays off until enable is "
-                    "switched off and on, or the node is deactivated and activated"
+                    f"the device was opened anew after {faults}: the output stays off until the node is "
+                    "deactivated and activated"
                 )
                 self._fault = Condition("fault_before", "safe", text)
         self._driver.close()

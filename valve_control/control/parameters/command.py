@@ -36,9 +36,6 @@ COMMAND: Table = (
     ),
     MESSAGE,
     Parameter(
-        "every", 1, "", "number of sample periods from one message to the next", 1, 1000, node_only=True
-    ),
-    Parameter(
         "listeners", 1, "", "subscriptions to wait for before the command begins", 0, 100, node_only=True
     ),
     Parameter(

@@ -53,14 +53,6 @@ CONTROLLER: Table = (
     ),
     Parameter("state_decimation", 10, "", "every n-th sample appears on ~/state; 0: none", 0, 100000),
     Parameter(
-        "state_topics",
-        [""],
-        "",
-        "terms of ~/state that are also published as single numbers on ~/terms/NAME, for tools that show "
-        "no labels; terms that the present law does not have are not published; empty: none",
-        node_only=True,
-    ),
-    Parameter(
         "memory_period",
         1.0,
         "s",

@@ -66,7 +66,6 @@ VALVE_DRIVER: Table = (
     DRIVER,
     SAMPLE_PERIOD,
     *SIDES,
-    Parameter("enable", True, "", "output on; false: 0 V and the output stage off, while readings continue"),
     Parameter("watchdog", 0.1, "s", "silence of valve_voltage after which the output is 0 V", 0.005, 60.0),
     Parameter(
         "answer_share", 0.8, "-", "share of the period for which a reading's voltage is awaited", 0.0, 0.95
@@ -77,7 +76,7 @@ VALVE_DRIVER: Table = (
 )
 DEVICE: Table = (DRIVER, *SIDES, *KINDS_PARAMETERS)  # of a controller that has the device itself
 LIVE = frozenset(
-    {"enable", "watchdog", "answer_share", "position.low", "position.high", "voltage.low", "voltage.high"}
+    {"watchdog", "answer_share", "position.low", "position.high", "voltage.low", "voltage.high"}
     | {parameter.name for parameter in REALTIME}
 )  # what a running driver takes
 

@@ -9,9 +9,6 @@ from valve_control.parameter import Parameter, Table, running
 
 MANIFOLD: Table = running(
     Parameter("valves", ["valve_1", "valve_2"], "", "names of the valves; each gets a namespace and a node"),
-    Parameter(
-        "node", "controller", "", "node that is hosted for a valve", choices=("controller", "valve_simulator")
-    ),
 )
 
 RECORDER: Table = running(
@@ -34,7 +31,6 @@ RECORDER: Table = running(
         "all valves and axes, /diagnostics and /clock; /parameter_events is always recorded",
     ),
     Parameter("flush_period", 0.25, "s", "longest part that is lost if the recorder is killed", 0.02, 1.0),
-    Parameter("min_free", 64.0, "MB", "free space on the disk at which the recording ends", 0.0, 1e6),
 )
 
 DASHBOARD: Table = running(

@@ -3,15 +3,13 @@
 """Holds all that a supervisor remembers between two samples, and reports conditions in it."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, make_dataclass
-from difflib import get_close_matches
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from valve_control.control.laws import command_lead
 from valve_control.control.laws import velocity as tachometer
-from valve_control.control.laws.registry import LAWS
 from valve_control.control.supervision import (
     answer,
     bumpless_transfer,
@@ -28,7 +26,6 @@ from valve_control.control.supervision import (
 from valve_control.control.supervision import clock as clocks
 from valve_control.control.supervision import trajectory as points
 from valve_control.control.supervision.watch_table import REPORTING
-from valve_control.parameter import ParameterError, one_of
 
 LATCH = 1.0  # s for which a passing event stays reported
 HEAD = ("sample", "mode", "command", "measurement", "voltage", "offset")
@@ -40,17 +37,6 @@ COUNTS = (
     "lvdt_lost", "lvdt_refused", "command_refused", "command_limited", "saturated", "assumption_violations",
     "law_not_finite", "safe_stops",
 )  # fmt: skip
-
-
-def named_terms(names: Sequence[str]) -> tuple[str, ...]:
-    """``names`` of terms of ~/state, each once. Raises ParameterError for one that no law has."""
-    known = sorted({*HEAD, *(label for law in LAWS.values() for label in law.term_labels)})
-    for name in names:
-        if name not in known:
-            near = get_close_matches(name, known, n=2)
-            hint = f"did you mean {one_of(near)}?" if near else f"they are {', '.join(known)}"
-            raise ParameterError(f"state_topics has '{name}', which is no term of any law; {hint}")
-    return tuple(dict.fromkeys(names))
 
 
 class Mode(IntEnum):
