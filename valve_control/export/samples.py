@@ -182,7 +182,7 @@ FAULTS = (
     Fault(7.50, 2, "jump"),
     Fault(7.00, 1, "reset"),
     Fault(8.00, 2, "reset"),
-    Fault(8.10, 1500, "old"),  # readings that are late
+    Fault(8.00, 1600, "old"),  # readings that are late
 )  # fmt: skip
 
 
