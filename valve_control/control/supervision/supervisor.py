@@ -28,7 +28,6 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.plant.amplifier import saturate
 from valve_control.control.supervision import (
     bumpless_transfer,
-    cycle_watch,
     law_watch,
     lock_in,
     oscillation,
@@ -110,7 +109,6 @@ class Supervisor:
         if former is not None and made.lvdt.period != former.lvdt.period:
             m.pace = rate.UNKNOWN._replace(means=m.pace.means)
             clear(m, "lvdt_rate")
-            clear(m, "lvdt_bursts")
         if (
             former is None
             or former.lead is None
@@ -280,28 +278,16 @@ class Supervisor:
             m.counts["lvdt_lost"] += max(0, lost - m.skipped)
         m.skipped = 0
         m.samples += 1
-        before = m.pace.means
         pace = rate.step(p.lvdt.pace, m.pace, elapsed, 1 + lost)
         changed, m.pace = pace.level != m.pace.level, pace
         if changed:
             clear(m, "lvdt_rate")
             if pace.level == 1:
                 report(m, "lvdt_rate", rate.text(p.lvdt.pace, pace))
-        if pace.means is not before:
-            self._tell_bursts(pace)
         voltage = self._sample(p, m, reading, lost, elapsed, pace.level == 2)
         self._hand_out(voltage)
         self._note(Event.READING, reading, sequence, elapsed, voltage)
         return voltage
-
-    def _tell_bursts(self, pace: rate.State) -> None:
-        """Report whether readings come in bursts, after a window of their period."""
-        m = self.memory
-        oscillates = m.cycle.cycles >= cycle_watch.BEGUN or m.pause.until > m.now
-        if not rate.bursts(pace, oscillates or "lvdt_bursts" in m.said.texts):
-            clear(self.memory, "lvdt_bursts")
-        elif pace.share < 1.0:
-            report(self.memory, "lvdt_bursts", rate.bursts_text(self.params.lvdt.pace, pace))
 
     def _hand_out(self, voltage: float) -> None:
         give, self._give = self._give, unused

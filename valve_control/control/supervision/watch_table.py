@@ -21,7 +21,7 @@ import collections
 import types
 from typing import Any, NamedTuple
 
-from valve_control.control.supervision import gain_watch, hum_watch, noise_watch, plausibility, stick_watch
+from valve_control.control.supervision import gain_watch, noise_watch, plausibility, stick_watch
 from valve_control.parameter import Values
 
 
@@ -46,7 +46,6 @@ REPORTING = (
     Watch(noise_watch, "noise", "lvdt_noise"),
     Watch(stick_watch, "stick", "spool_sticks"),
     Watch(gain_watch, "gain", "lvdt_gain"),
-    Watch(hum_watch, "hum", "lvdt_mains"),
 )
 Params = collections.namedtuple("Params", [watch.slot for watch in REPORTING])  # type: ignore[misc]
 
