@@ -110,10 +110,10 @@ def gained(free):
 NO_GAIN = "], (), build"
 BROKEN = [
     ('Law("mine"', 'Law("arc"', "the name is taken by a law of valve_control"),
-    ("command, measurement, offset)", "command)", "its first step fails: TypeError: step() takes"),
-    ("def hold(", "def held(", "its first step fails: AttributeError: module 'law_"),
+    ("command, measurement, offset)", "command)", "left out: TypeError: step() takes"),
+    ("def hold(", "def held(", "left out: AttributeError: module 'law_"),
     ("command + offset", "command + float('nan')", "it must be a finite float"),
-    ("    return s\n", "    return voltage\n", "its hold gives builtins.float; it must be {law}.State"),
+    ("    return s\n", "    return voltage\n", "its hold gives 0.0; it must be a {law}.State"),
     ("last: float", "theta: float", "there must be a parameter {name}.theta_initial"),
     (NO_GAIN, gained("1").replace("mine.k", "other.k"), "its parameter other.k must begin with '{name}.'"),
 ]

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks files before they are opened: refuses folders, and devices, which might never end. Reads YAML."""
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -41,21 +42,14 @@ def expanded(path: str, what: str) -> Path:
 
 
 def check(path: str, what: str) -> None:
-    """Raise ParameterError unless ``path``, named ``what`` in the message, is a file or the end of a pipe."""
-    file = Path(path)
+    """Raise ParameterError if ``path``, named ``what`` in the message, is neither file nor end of a pipe."""
+    if os.path.exists(path) and not (os.path.isfile(path) or Path(path).is_fifo()):
+        raise ParameterError(f"{what} {path!r} cannot be read: it is no file")
+
+
+def from_yaml(text: str) -> Any:
+    """What the YAML ``text`` holds for rcl. Raises ValueError with the reason in one line."""
     try:
-        if "\0" in path or (file.exists() and not (file.is_file() or file.is_fifo())):
-            raise ParameterError(f"{what} {path!r} cannot be read: it is no file")
-    except OSError as error:
-        raise ParameterError(f"{what} {path} cannot be read: {error.strerror or error}") from error
-
-
-def from_yaml(text: str, of_python: bool = False) -> Any:
-    """What the YAML ``text`` holds for rcl, or ``of_python``: as PyYAML reads it for `ros2 param`.
-
-    Raises ValueError with the reason in one line.
-    """
-    try:
-        return yaml.load(text, LOADER if of_python else _RosLoader)
+        return yaml.load(text, _RosLoader)
     except WRONG as error:
         raise ValueError(" ".join(str(error).split())) from error

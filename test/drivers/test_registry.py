@@ -50,7 +50,7 @@ def test_broken_ones_are_left_out_with_the_reason(tmp_path):
         said,
         ["it is 3; it must be", "card.port must begin with 'rack.'",
          "'Card'; it must be one word in lower case",
-         "the name is taken by a driver of valve_control", "cannot be imported: AttributeError",
+         "the name is taken by a driver of valve_control", "left out: AttributeError",
          "the name is taken by a driver of card_driver"],
         strict=True,
     ):  # fmt: skip

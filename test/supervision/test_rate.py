@@ -66,32 +66,6 @@ def test_beyond_the_limit_the_voltage_is_off_until_the_period_is_right(factor):
     assert made.mode is Mode.OK
 
 
-def arrivals(made, seconds, size, began=0, jitter=0.0, held_up=0.0):
-    """Readings in bursts of ``size``; ``held_up``: share of them before which the process stands still."""
-    random = np.random.default_rng(1)
-    seen, said = 0.0, set()
-    for k in range(began, began + round(seconds / PERIOD)):
-        due = (k // size + 1) * size * PERIOD + jitter * abs(random.standard_normal())
-        due += 0.008 * (random.random() < held_up)
-        now = max(due, seen + 2e-4)  # a reading is answered within 0.2 ms
-        made.command(0.0)
-        made.sample(1e-4 * (k % 2), k, now - seen)
-        seen = now
-        said |= set(made.conditions)
-    return said
-
-
-@pytest.mark.parametrize("size", [2, 4, 10])
-def test_bursts_of_readings_are_reported_and_the_word_ends_with_them(size):
-    made = changed.supervisor()
-    assert "lvdt_bursts" in arrivals(made, 4.0, size)
-    assert made.mode is Mode.DEGRADED
-    several = float(made.conditions["lvdt_bursts"].split("of about ")[1].split(",")[0])
-    assert several == pytest.approx(size, rel=0.1)
-    arrivals(made, 0.3, 1, 4000)
-    assert "lvdt_bursts" not in made.conditions
-
-
 def with_standstills(pause, apart, count=12):
     """Times between readings: ``pause`` [s] in which nothing comes, and then at once all that is due."""
     due = round(pause / PERIOD)

@@ -6,8 +6,7 @@ A law, a plant and a driver are each a NamedTuple with name, parameters and pack
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
@@ -32,12 +31,9 @@ def add(
     for point in sorted(entry_points(group=group), key=lambda point: point.name):
         package = point.dist.name if point.dist is not None else point.module
         try:
-            try:
-                loaded = point.load()
-            except Exception as reason:
-                raise PluginError(f"it cannot be imported: {type(reason).__name__}: {reason}") from reason
-            entry: Any = accepted(loaded, known)
-        except Exception as reason:  # a field of a wrong type has its own
+            entry: Any = accepted(point.load(), known)
+        except Exception as error:  # its import, and its first step, may raise any
+            reason = str(error) if isinstance(error, PluginError) else f"{type(error).__name__}: {error}"
             left_out[point.name] = f"the {kind} '{point.name}' of the package {package} is left out: {reason}"
         else:
             known[entry.name] = entry._replace(package=package)
@@ -58,25 +54,10 @@ def check(entry: Any, kind: type[T]) -> T:
     return entry
 
 
-@contextmanager
-def first_step() -> Iterator[None]:
-    """Raise PluginError for whatever is raised in the block, in which an entry is tried."""
-    try:
-        yield
-    except PluginError:
-        raise
-    except Exception as error:
-        raise PluginError(f"its first step fails: {type(error).__name__}: {error}") from error
-
-
 def check_results(results: Iterable[tuple[str, Any, type]]) -> None:
     """Raise PluginError unless each of the ``results`` of named functions has its type; a float is finite."""
     for name, value, wanted in results:
-        own = type(value)
-        if wanted is float and (own is not float or not math.isfinite(value)):
-            raise PluginError(f"its {name} gives {value!r}; it must be a finite float")
-        if own is not wanted:
-            raise PluginError(
-                f"its {name} gives {own.__module__}.{own.__name__}; it must be "
-                f"{wanted.__module__}.{wanted.__name__}"
-            )
+        sound = type(value) is wanted
+        if not sound or (wanted is float and not math.isfinite(value)):
+            kind = "finite float" if wanted is float else f"{wanted.__module__}.{wanted.__name__}"
+            raise PluginError(f"its {name} gives {value!r}; it must be a {kind}")

@@ -98,17 +98,16 @@ class Law(NamedTuple):
 
 
 def try_out(law: Law, values: Values) -> None:
-    """Build ``law`` from ``values`` and compute one step and one hold. Raises PluginError."""
+    """Build ``law``, compute one step and one hold. Raises PluginError, or what ``law`` raises."""
     module = law.module
-    with plugins.first_step():
-        given = {**values, **defaults(law.parameters)}
-        params = law.build(given)
-        state = module.initial(params, Start(0.1, 0.0, 0.1, 0.0, 0.0))
-        voltage, after, terms = module.step(params, state, 0.2, 0.1, 0.0)
-        held = module.hold(params, state, 0.2, 0.1, 0.0)
-        units = [(f"range of {free.name}", free.unit(given)) for free in law.free]
-        chosen = placed([(free, free.from_share(0.5)) for free in law.free], given)
-        told = {name: getattr(terms, name) for name in TERMS}
+    given = {**values, **defaults(law.parameters)}
+    params = law.build(given)
+    state = module.initial(params, Start(0.1, 0.0, 0.1, 0.0, 0.0))
+    voltage, after, terms = module.step(params, state, 0.2, 0.1, 0.0)
+    held = module.hold(params, state, 0.2, 0.1, 0.0)
+    units = [(f"range of {free.name}", free.unit(given)) for free in law.free]
+    chosen = placed([(free, free.from_share(0.5)) for free in law.free], given)
+    told = {name: getattr(terms, name) for name in TERMS}
     plugins.check_results(
         [
             *((name, value, float) for name, value in [("step", voltage), *told.items(), *units]),

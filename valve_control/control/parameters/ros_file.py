@@ -80,10 +80,7 @@ def save(path: Path, node: str, values: Values) -> None:
 
 
 def as_yaml(sections: Mapping[str, Values], comments: Sequence[str] = ()) -> str:
-    """Text of a ROS 2 parameter file; ``sections``: values by full name of a node, or by a pattern.
-
-    Its head says so if the file is one that `ros2 param load` cannot load.
-    """
+    """Text of a ROS 2 parameter file; ``sections``: values by full name of a node, or by a pattern."""
     trees: dict[str, Any] = {}
     for node, values in sections.items():
         tree: dict[str, Any] = {}
@@ -95,7 +92,6 @@ def as_yaml(sections: Mapping[str, Values], comments: Sequence[str] = ()) -> str
                 branch = branch.setdefault(group, {})
             branch[last] = _written(value)
         trees[node] = {"ros__parameters": tree}
-    comments = [*comments, *_not_by_param_load(sections)]
     head = "".join(f"# {line}\n" for comment in comments for line in comment.splitlines())
     return head + yaml.dump(trees, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110)
 
@@ -113,37 +109,6 @@ def _one_by_one(values: Values) -> list[str]:
         return groups.index(group), ranks.get(last, 2)
 
     return sorted(values, key=place)
-
-
-def _not_by_param_load(sections: Mapping[str, Values]) -> list[str]:
-    """Comment on a file that `ros2 param load` cannot load, and why; none for others."""
-    words = [name for values in sections.values() for name, value in values.items() if _turns(value)]
-    if len(sections) > 1:
-        reason = "it gives a node the sections of all nodes"
-    elif words:
-        reason = f"it changes {', '.join(words)}"
-    else:
-        return []
-    return [f"ros2 param load cannot load this file: {reason}. Use --params-file or ~/load_parameters."]
-
-
-def _turns(value: Value) -> bool:
-    """Whether `ros2 param load` makes something else of ``value``: it reads each value of a file twice.
-
-    The second time as the text that Python has for it, which is 2 for "2", a number. Of 1.0e-05 it makes the
-    word 1e-05, which the nodes take for the number.
-    """
-    try:
-        again = inputs.from_yaml(str(value), of_python=True)
-    except ValueError:
-        return True
-    again = "" if again is None else again
-    if isinstance(value, float):
-        again = _number(again)
-    if isinstance(value, list) and isinstance(again, list):
-        again = [_number(a) if isinstance(v, float) else a for a, v in zip(again, value, strict=False)]
-        return again != value or [type(entry) for entry in again] != [type(entry) for entry in value]
-    return again != value or type(again) is not type(value)
 
 
 class _Dumper(yaml.SafeDumper):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Limits by which watch.py judges the LVDT, counts gaps and trusts readings again, from the parameters.
+"""Limits by which control_step.py judges the LVDT, counts gaps and trusts readings again, by parameters.
 
 lvdt.py judges a single reading, rate.py whether the readings come at the sample period, and plausibility.py
 whether they answer the voltage as a valve would. A few bad or missing readings are bridged. More of them

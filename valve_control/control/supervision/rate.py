@@ -9,9 +9,6 @@ makes good what it lacks.
 
 A gap is no period. A window begins and ends at a reading that came in time after the one before, so that a
 delay and the burst that makes it good are in the same window. After a silence both are left out.
-
-Readings may keep their mean period and still come in bursts: a driver or a network collects several and hands
-them on together. Each voltage but the last of a burst is then replaced before the spool can move.
 """
 
 from typing import NamedTuple
@@ -26,10 +23,7 @@ LASTING = 20  # windows for which a deviation below the limit lasts before it is
 QUICK = 0.4  # of the sample period; a reading that comes sooner after the one before is in a burst with it
 LATE = 1.6  # times the window's mean; a reading that comes later after the one before does not end the window
 BURST = 100  # readings that may come quickly after a silence; more are the sender's period
-CROWDED = 0.4  # share of readings that come quickly, from which a window has bursts; two at a time make 0.5
 ANY = 1.0  # limit from which on no period is too short: it is set where readings have no clock
-CROWDED_FOR = 10  # windows of bursts, each twice as long as WINDOW, before bursts are reported
-AT_ONCE = 2  # the same while the voltage oscillates, of which they may be the cause
 CALMED = 0.75  # of a limit, below which it counts as kept again
 
 
@@ -48,9 +42,6 @@ class State(NamedTuple):
     means: tuple[float, ...]  # s, oldest first
     off: int  # windows for which they have been off on the same side; negative: too short
     level: int  # 0: as expected, 1: reported, 2: beyond the limit
-    quick: int = 0  # readings of the open window that came quickly
-    share: float = 0.0  # of quick readings in the last window
-    crowded: int = 0  # windows in a row with bursts, at most CROWDED_FOR
     passing: int = BURST + 1  # readings that may pass before a window is open, the first at any rate; 0: open
 
 
@@ -64,16 +55,13 @@ def step(p: Params, s: State, elapsed: float, periods: int) -> State:
     quickly = elapsed < QUICK * p.period
     if s.passing > 0:
         return s._replace(passing=s.passing - 1 if quickly or s.passing > BURST else 0)
-    time, count, quick = s.time + elapsed, s.periods + periods, s.quick + quickly
+    time, count = s.time + elapsed, s.periods + periods
     length = WINDOW if s.means else 0.0
     mean = time / count
     in_time = not quickly and elapsed <= LATE * mean * periods
     if count < LEAST or time < length or not (in_time or count >= 2 * LEAST and time >= 2.0 * length):
-        return s._replace(time=time, periods=count, quick=quick)
-    share = quick / count
-    crowded = min(s.crowded + 1, CROWDED_FOR) if share > CROWDED else 0
-    s = State(0.0, 0, (*s.means[1 - WINDOWS :], mean), s.off, s.level, 0, share, crowded, 0)
-    return _judged(p, s)
+        return s._replace(time=time, periods=count)
+    return _judged(p, State(0.0, 0, (*s.means[1 - WINDOWS :], mean), s.off, s.level, 0))
 
 
 def _judged(p: Params, s: State) -> State:
@@ -102,23 +90,12 @@ def _judged(p: Params, s: State) -> State:
 
 def interrupted(s: State) -> State:
     """State after a silence, whose time says nothing of the period, nor do readings that make it good."""
-    return s._replace(time=0.0, periods=0, quick=0, passing=BURST + 1)
+    return s._replace(time=0.0, periods=0, passing=BURST + 1)
 
 
 def is_right(p: Params, s: State) -> bool:
     """Whether a voltage may be given: the period is known and within the limit, or any is right."""
     return (s.level < 2 and len(s.means) > 0) or p.limit >= ANY
-
-
-def bursts(s: State, at_once: bool) -> bool:
-    """Whether bursts are to be reported; ``at_once``: the voltage oscillates, or they are already."""
-    return s.crowded >= (AT_ONCE if at_once else CROWDED_FOR)
-
-
-def bursts_text(p: Params, s: State) -> str:
-    """One sentence about the bursts of the last window."""
-    several, every = 1.0 / (1.0 - s.share), 1e3 * p.period / (1.0 - s.share)
-    return f"LVDT readings come in bursts of about {several:.2g}, one burst in {every:.2g} ms"
 
 
 def measured(s: State) -> float:

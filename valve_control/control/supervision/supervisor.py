@@ -9,8 +9,8 @@ degraded  the law has the valve, but something is reported: a silent or refused 
           long saturation, a limit cycle, a broken assumption, a second publisher;
 safe      0 V, the spring centres the spool: the LVDT is implausible, or the law produced NaN or infinity.
 
-The steps are in watch.py, functions on one memory (record.py), from which exported C is made too. Here
-is what only a node has: other laws and parameters, the period of the readings, counters and telemetry.
+The steps are in control_step.py, functions on one memory (record.py), from which exported C is made too.
+Here is what only a node has: other laws and parameters, the period of the readings, counters and telemetry.
 
 Time is counted in samples, so that a run is repeatable; only the silence of the LVDT, during which no sample
 comes, has to be told from outside (``silence``). Each input is noted with its answer (journal.py).
@@ -28,13 +28,12 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.plant.amplifier import saturate
 from valve_control.control.supervision import (
     bumpless_transfer,
-    cycle_watch,
+    control_step,
     law_watch,
     lock_in,
     oscillation,
     rate,
     trajectory,
-    watch,
 )
 from valve_control.control.supervision.journal import OBSERVED, TYPES, Event
 from valve_control.control.supervision.record import (
@@ -71,7 +70,7 @@ class Supervisor:
         self._terms: tuple[float, ...] = ()  # of the law at the last sample
         self._give: Callable[..., None] = unused
         self._note: Callable[..., None] = unused
-        self.params: watch.Params  # these four from apply on
+        self.params: control_step.Params  # these four from apply on
         self._saturation_limit: float  # s
         self._steps: types.SimpleNamespace
         self._sample: Callable[..., float]
@@ -99,7 +98,7 @@ class Supervisor:
 
     def apply(self, values: Values, params: Any) -> None:
         """Take checked ``values`` and the law's ``params`` built from them into use, between two samples."""
-        m, made, sent = self.memory, watch.design(values, params, self.answered), self.voltage
+        m, made, sent = self.memory, control_step.design(values, params, self.answered), self.voltage
         former = self.params if self._form else None
         self.values, self.params = values, made
         self._saturation_limit = number(values, "saturation_limit")
@@ -110,7 +109,6 @@ class Supervisor:
         if former is not None and made.lvdt.period != former.lvdt.period:
             m.pace = rate.UNKNOWN._replace(means=m.pace.means)
             clear(m, "lvdt_rate")
-            clear(m, "lvdt_bursts")
         if (
             former is None
             or former.lead is None
@@ -120,7 +118,7 @@ class Supervisor:
             m.lead = None
         if curve_changed:  # the law's voltage has another unit, and its estimates are those of another valve
             m.voltage = linearisation.given(values, sent)
-            watch.end_doubt(m)
+            control_step.end_doubt(m)
             m.cycle = m.swing = oscillation.NOTHING
             m.probe = lock_in.NOTHING
             m.former, m.kept = None, ("", None)
@@ -146,8 +144,8 @@ class Supervisor:
         same_reference = before is not None and before.reshapes(former)
         if law is not before or line != self._form[2]:
             own = {"hand_out": self._hand_out, "observe": self._observe}
-            self._steps = watch.with_places({**watch.places_of(law, line), **own})
-            self._sample = self._steps.sample  # watch.sample, with the functions of this law
+            self._steps = control_step.with_places({**control_step.places_of(law, line), **own})
+            self._sample = self._steps.sample  # control_step.sample, with the functions of this law
         self._descriptor = law
         self._form = form
         self.name = m.name = name
@@ -185,7 +183,7 @@ class Supervisor:
         ``stamp`` [s]: when it was sent, by the sender's clock, NaN: unknown, it is that of the next sample.
         ``since`` [s]: how long after the last call of ``sample``, ``silence`` or ``skip`` it came.
         """
-        watch.command(self.params, self.memory, float(value), stamp, since)
+        control_step.command(self.params, self.memory, float(value), stamp, since)
         self._note(Event.COMMAND, stamp, since, command=value)
 
     def trajectory(self, point: trajectory.Motion, stamp: float = math.nan, since: float = 0.0) -> bool:
@@ -194,7 +192,7 @@ class Supervisor:
         ``stamp``, ``since``: as of ``command``. A trajectory has precedence over commands for as long as it
         is not silent.
         """
-        taken = watch.trajectory(self.params, self.memory, point, stamp, since)
+        taken = control_step.trajectory(self.params, self.memory, point, stamp, since)
         times = (0.0, math.nan) if math.isnan(stamp) else (stamp, since)
         self._note(Event.TRAJECTORY, point.velocity, point.acceleration, *times, command=point.position)
         return taken
@@ -209,13 +207,13 @@ class Supervisor:
     def trajectory_gone(self) -> None:
         """Who sent the trajectory has left, others have not: commands are taken again."""
         if self.memory.trajectory is not None:
-            watch.trajectory_gone(self.memory)
+            control_step.trajectory_gone(self.memory)
             self._note(Event.TRAJECTORY_GONE)
 
     def command_gone(self) -> None:
         """Report that the upper level has left: its command counts as silent at once."""
         if self.memory.command.gone_since is None:
-            watch.command_gone(self.memory)
+            control_step.command_gone(self.memory)
             self._note(Event.COMMAND_GONE)
 
     def observe(self, name: str, text: str) -> bool:
@@ -256,7 +254,7 @@ class Supervisor:
 
     def _silence(self, elapsed: float, stalled: bool) -> float:
         self.memory.pace = rate.interrupted(self.memory.pace)
-        return watch.silence(self.params, self.memory, elapsed, stalled)
+        return control_step.silence(self.params, self.memory, elapsed, stalled)
 
     def sample(
         self,
@@ -280,28 +278,16 @@ class Supervisor:
             m.counts["lvdt_lost"] += max(0, lost - m.skipped)
         m.skipped = 0
         m.samples += 1
-        before = m.pace.means
         pace = rate.step(p.lvdt.pace, m.pace, elapsed, 1 + lost)
         changed, m.pace = pace.level != m.pace.level, pace
         if changed:
             clear(m, "lvdt_rate")
             if pace.level == 1:
                 report(m, "lvdt_rate", rate.text(p.lvdt.pace, pace))
-        if pace.means is not before:
-            self._tell_bursts(pace)
         voltage = self._sample(p, m, reading, lost, elapsed, pace.level == 2)
         self._hand_out(voltage)
         self._note(Event.READING, reading, sequence, elapsed, voltage)
         return voltage
-
-    def _tell_bursts(self, pace: rate.State) -> None:
-        """Report whether readings come in bursts, after a window of their period."""
-        m = self.memory
-        oscillates = m.cycle.cycles >= cycle_watch.BEGUN or m.pause.until > m.now
-        if not rate.bursts(pace, oscillates or "lvdt_bursts" in m.said.texts):
-            clear(self.memory, "lvdt_bursts")
-        elif pace.share < 1.0:
-            report(self.memory, "lvdt_bursts", rate.bursts_text(self.params.lvdt.pace, pace))
 
     def _hand_out(self, voltage: float) -> None:
         give, self._give = self._give, unused

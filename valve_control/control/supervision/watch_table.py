@@ -3,8 +3,8 @@
 """The table of the watches that report.
 
 A watch of this table looks at each block of the plausibility check and reports a condition; the law goes on.
-The other watches are called by name in watch.py or supervisor.py, because more than a sentence depends on
-them: which reading or command counts, what limits the voltage, or when the law starts again.
+The other watches are called by name in control_step.py or supervisor.py, because more than a sentence
+depends on them: which reading or command counts, what limits the voltage, or when the law starts again.
 
 A new watch that reports is one file, one row of ``REPORTING`` and its line in docs/reference/modes.md. Memory
 and snapshot follow from the row; exported C has no such watch. The file has ``Params``, ``State``,
@@ -21,7 +21,7 @@ import collections
 import types
 from typing import Any, NamedTuple
 
-from valve_control.control.supervision import gain_watch, hum_watch, noise_watch, plausibility, stick_watch
+from valve_control.control.supervision import gain_watch, noise_watch, plausibility, stick_watch
 from valve_control.parameter import Values
 
 
@@ -46,7 +46,6 @@ REPORTING = (
     Watch(noise_watch, "noise", "lvdt_noise"),
     Watch(stick_watch, "stick", "spool_sticks"),
     Watch(gain_watch, "gain", "lvdt_gain"),
-    Watch(hum_watch, "hum", "lvdt_mains"),
 )
 Params = collections.namedtuple("Params", [watch.slot for watch in REPORTING])  # type: ignore[misc]
 

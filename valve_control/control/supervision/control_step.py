@@ -817,6 +817,6 @@ def _record(template: Any, given: dict[str, Any], without: Collection[str] = ())
     hints = {n: h for n, h in {**get_type_hints(template), **given}.items() if n not in without}
     made: Any = collections.namedtuple(template.__name__, list(hints))  # type: ignore[misc]
     made.__annotations__ = hints
-    made.__module__, made.__doc__ = __name__, template.__doc__
+    made.__module__, made.__doc__ = "watch", template.__doc__  # the word before its name in C
     setattr(made, "template", getattr(template, "template", template))  # noqa: B010  # with the comments of the fields
     return made
