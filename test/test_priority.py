@@ -53,6 +53,22 @@ def test_an_end_of_the_caller_ends_the_search_at_its_next_report():
         priority.in_background(lambda report: int("of the search"), print)
 
 
+def test_a_loop_on_this_host_is_seen_and_has_a_core(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    assert priority.spare_cores() == 1
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    assert priority.spare_cores() == 1
+    command = [sys.executable, "-c", "print(flush=True); input()", "/lib/valve_control/valve_driver"]
+    monkeypatch.setattr(priority, "LOOPS", ("valve_driver_of_this_test",))
+    assert not priority.loop_runs()
+    monkeypatch.setattr(priority, "WORDS", 4)
+    monkeypatch.setattr(priority, "LOOPS", ("valve_driver",))
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        child.stdout.readline()  # it runs
+        assert priority.loop_runs()
+        child.communicate(b"\n")
+
+
 def test_a_command_of_its_own_process_yields():
     script = (
         "import os; from valve_control.cli import command; from valve_control import priority; "

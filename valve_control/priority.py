@@ -11,6 +11,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
+LOOPS = ("controller", "valve_driver", "valve_simulator", "manifold")  # nodes that a busy core delays
+WORDS = 3  # of a command line, among which the name of a node is: interpreter, -m, module
 T = TypeVar("T")
 
 
@@ -32,6 +34,21 @@ def _yield_thread() -> None:
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     except (AttributeError, OSError):  # no Linux, or not allowed
         os.nice(19)
+
+
+def spare_cores() -> int:
+    """Number of cores that leaves one to a loop, where there are two."""
+    return max(1, (os.cpu_count() or 1) - 1)
+
+
+def loop_runs() -> bool:
+    """Whether a control loop of this package runs on this host, as far as /proc shows it."""
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            words = path.read_bytes().decode(errors="replace").split("\0")[:WORDS]
+            if any(word.rpartition("/")[2].removeprefix("valve_control.nodes.") in LOOPS for word in words):
+                return True
+    return False
 
 
 class Stopped(Exception):

@@ -15,8 +15,8 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from valve_control import __version__, priority
-from valve_control.cli.common import Parser, check_outputs, ended
+from valve_control import __version__
+from valve_control.cli.common import Parser, check_outputs, ended, give_way
 from valve_control.control.laws.registry import LEFT_OUT
 
 EXAMPLES = """examples:
@@ -97,5 +97,5 @@ def run(argv: Sequence[str], alone: bool = False) -> int:
         if name not in asked:  # else it is the refusal
             print(f"valve-control: {sentence}", file=sys.stderr)
     if alone and arguments.task in SEARCHES:
-        priority.yield_cores()
+        give_way(arguments)
     return ended("valve-control", arguments.task, lambda: arguments.run(check_outputs(arguments)))

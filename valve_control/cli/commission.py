@@ -9,10 +9,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control import interrupts
+from valve_control import interrupts, priority
 from valve_control.cli.common import (
     BUDGET,
-    CORES,
     SEED,
     THREADS,
     VALVES,
@@ -69,7 +68,7 @@ def add_commands(commands: Any) -> None:
         ("valves", VALVES, 6, "N", "number of valves in the search (%(default)s)"),
         ("unseen", VALVES, 32, "N", "number of valves in the verification (%(default)s)"),
         SEED,
-        (*THREADS[:2], max(1, CORES - 1), "N", "number of threads (all cores but one)"),
+        (*THREADS[:2], priority.spare_cores(), "N", "number of threads (all cores but one)"),
     )
     text = "tune this law only, and no PID that could have a smaller error"
     group.add_argument("--alone", action="store_true", help=text)

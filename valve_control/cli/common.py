@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from valve_control import interrupts, outputs
+from valve_control import interrupts, outputs, priority
 from valve_control.control.compiling import LawError
 from valve_control.control.laws.registry import LAWS, LEFT_OUT
 from valve_control.control.parameters import files
@@ -152,6 +152,11 @@ def check_outputs(arguments: argparse.Namespace, *more: str) -> argparse.Namespa
     return arguments
 
 
+def give_way(arguments: argparse.Namespace) -> None:
+    """Let this process run while no other wants the core, and leave one of all cores to a loop that runs."""
+    priority.yield_cores()
+    if getattr(arguments, "threads", 0) == CORES and priority.loop_runs():
+        arguments.threads = priority.spare_cores()
 
 
 def output_group(options: argparse.ArgumentParser, **files: str) -> Any:
