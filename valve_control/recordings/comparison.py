@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from valve_control.control.analysis.figures import COLOURS, Line, Plot
-from valve_control.control.analysis.overlay import TimedSignal, shift
+from valve_control.control.analysis.segments import motions
 from valve_control.recordings.analysis import NONE, Analysis, ValveAnalysis, modes_dict
 from valve_control.recordings.analysis_report import time_in
 from valve_control.recordings.recording import Aligned
@@ -31,16 +31,17 @@ def runs(path: str, analysis: Analysis) -> list[BagRun]:
 
 
 def _overlay(signals: Aligned, over: Aligned) -> tuple[float, str]:
-    """Time [s] by which ``signals`` move to lie over others, and what shows that, "" for the others."""
+    """Time [s] by which ``signals`` move to begin with others, and what begins then, "" for the others.
+
+    What never rests begins at its first time.
+    """
     if signals is over:
         return 0.0, ""
-    both = (signals, over)
-    commanded = all(np.isfinite(s.command).all() for s in both)
-    moved, alike = shift(
-        *(TimedSignal(s.time, s.command if commanded else s.measurement, s.period) for s in both)
-    )
-    what = "command" if commanded else "measurement"
-    return moved, what if alike else f"beginning of the {what}'s motion"
+    both = (over, signals)
+    what = "command" if all(np.isfinite(s.command).all() for s in both) else "measurement"
+    found = [motions(getattr(s, what), s.period) for s in both]
+    begins = [float(s.time[one[0].start if one else 0]) for s, one in zip(both, found, strict=True)]
+    return begins[0] - begins[1], what
 
 
 def report(runs: Sequence[BagRun]) -> Report:
@@ -61,7 +62,7 @@ def report(runs: Sequence[BagRun]) -> Report:
             errors.append(Line(name, time, s.measurement - s.command, colour))
             voltages.append(Line(name, time, s.voltage, colour))
         if by:
-            moves.append(f"{name}: moved by {shift_s:+.3f} s to lie over the first by its {by}")
+            moves.append(f"{name}: moved by {shift_s:+.3f} s, so that its {by} begins with that of the first")
         indices, only_ok, remark = NONE, NONE, ""
         for part in valve.parts[:1]:
             indices, only_ok, remark = part.indices, part.indices_only_ok, time_in(part.not_ok_s)
