@@ -107,7 +107,7 @@ def commissioned(seeds: Sequence[int], budget: int) -> list[Case]:
 
 def measured(case: Case, wanted: Floats, delivered: Delivery) -> Outcome:
     """A run of ``case`` under the motion ``wanted`` [V]."""
-    run = offline.simulate(case.controller, case.valve, wanted, delivered=delivered)
+    run = offline.simulate(case.controller, case.valve, wanted, alone=True, delivered=delivered)
     begin = round(SETTLED / run.period)
     voltage, error = run.voltage[begin:], (run.position - run.command)[begin:]
     return Outcome(rms(error), rms(np.diff(voltage)) / rms(voltage), float(np.max(np.abs(voltage))))
@@ -158,8 +158,9 @@ def over_dds(folder: Path, message: str) -> dict[str, dict[str, Any]]:
                     got = demo.run_cascade(run, folder, progress)
                 values = demo.values_of(run)
                 twin = offline.simulate(
-                    values["controller"], values["valve_simulator"], build.commands(values["command_source"])
-                )
+                    values["controller"], values["valve_simulator"], build.commands(values["command_source"]),
+                    alone=True,
+                )  # fmt: skip
                 pairs = []
                 for command, reading, voltage in (
                     (got.command, got.measurement, got.voltage),

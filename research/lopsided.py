@@ -110,7 +110,7 @@ def measured(given: "Values", valve: "Values") -> Error:
     chatter = []
     for name, wanted in comparison.motions().items():
         sent = delivery.unreshaped(p.reshaping, wanted) if law.reshapes(p) else wanted[:-2]
-        run = offline.simulate(values, valve, sent)
+        run = offline.simulate(values, valve, sent, alone=True)
         kind = "sine" if "sine" in name else "point"
         errors[kind].append(rms(run.position - run.terms["reference"]))
         chatter.append(run.indices.c_u)

@@ -31,15 +31,12 @@ def runs(path: str, analysis: Analysis) -> list[BagRun]:
 
 
 def _overlay(signals: Aligned, over: Aligned) -> tuple[float, str]:
-    """Time [s] by which ``signals`` move to begin with others, and what begins then, "" for the others.
-
-    What never rests begins at its first time.
-    """
+    """Time [s] by which ``signals`` move to begin with others, and what begins then, "" for the others."""
     if signals is over:
         return 0.0, ""
     both = (over, signals)
     what = "command" if all(np.isfinite(s.command).all() for s in both) else "measurement"
-    found = [motions(getattr(s, what), s.period) for s in both]
+    found = [motions(getattr(s, what), s.period) for s in both]  # without a rest: from the first time on
     begins = [float(s.time[one[0].start if one else 0]) for s, one in zip(both, found, strict=True)]
     return begins[0] - begins[1], what
 

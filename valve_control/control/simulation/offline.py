@@ -89,15 +89,17 @@ def simulate(
     compiled: bool = True,
     noise_start: int = 0,
     told: Callable[[int], None] | None = None,
+    alone: bool = False,
     delivered: Delivery | None = None,
     derivatives: tuple[Floats, Floats] | None = None,
 ) -> Run:
     """Simulate the loop over ``command`` [V], one entry per sample. Raises ParameterError.
 
     ``noise_start``: how many LVDT readings the simulator had already made when the controller joined.
-    ``told`` is called with the number of samples done since its last call. ``delivered``: how the command
-    comes; None: one for each sample, in time. ``derivatives`` [V/s, V/s²]: of a command that comes as points
-    of a trajectory. The error is that from ``command`` all the same.
+    ``told`` is called with the number of samples done since its last call. ``alone``: the parameters of
+    other laws are not looked at. ``delivered``: how the command comes; None: one for each sample, in time.
+    ``derivatives`` [V/s, V/s²]: of a command that comes as points of a trajectory. The error is that from
+    ``command`` all the same.
     """
     check_agreement(controller_values, valve_values)
     law = LAWS[word(controller_values, "controller")]

@@ -84,7 +84,7 @@ def simulated(controller: Values, valve: Values, command: Values, motion: Floats
         segments = tuple(s._replace(end=min(len(motion), s.end)) for s in whole)
     u_max = number(open_loop, "u_max")
     with np.errstate(over="ignore", invalid="ignore"):
-        run = offline.simulate(open_loop, valve, motion)
+        run = offline.simulate(open_loop, valve, motion, alone=True)
     model = build.valve_model(valve)  # to whose input flow force feeds the position back
     poles = np.roots(np.polyadd(model.denominator, number(valve, "flow_force") * np.array(model.numerator)))
     if np.any(poles.real >= -1e-9 * np.abs(poles)) or not np.all(np.abs(run.measurement) <= DIVERGED * u_max):
