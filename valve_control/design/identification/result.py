@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_columns
+from valve_control.control.analysis.figures import Line, Plot, draw_columns
 from valve_control.control.laws.registry import ADAPTIVE
 from valve_control.control.parameters import build
 from valve_control.control.parameters.ros_file import as_yaml
@@ -275,11 +275,12 @@ def draw_bode(found: Identification, path: str) -> None:
     assert m is not None
     frequency, plots = np.geomspace(m.frequency[0], m.frequency[-1], 500), []
     for title, read in (("position over voltage [dB]", bode.decibels), ("phase [°]", bode.degrees)):
-        lines = [Line(f"measured ({m.method})", m.frequency, read(m.value), "black", True)]
-        for fit, colour in zip(found.fits, COLOURS, strict=False):
+        lines = []
+        for fit in found.fits:
             value = bode.held_response(fit.model, frequency, m.period, fit.delay)
             label = f"order {fit.order}, error {100 * fit.error:.2g} %"
-            lines.append(Line(label, frequency, read(value), colour))
+            lines.append(Line(label, frequency, read(value)))
+        lines.append(Line(f"measured ({m.method})", m.frequency, read(m.value), "black", True))
         plots.append(Plot(title, lines))
     plots.append(Plot("coherence", [Line("", m.frequency, m.coherence, "gray")]))
     draw_columns([Path(path)], {"": plots}, "frequency [Hz]", found.source, logarithmic_x=True)
