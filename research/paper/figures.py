@@ -14,12 +14,13 @@ from valve_control.control.analysis.figures import COLOURS, Line, Plot
 from valve_control.control.laws import design
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.design.identification import bode
-from valve_control.design.identification.rational import hold, measured_corners
+from valve_control.design.identification.rational import hold
 from valve_control.design.identification.response import Response, find_segments, stepped
 
 Floats = npt.NDArray[np.float64]
 GRID = np.geomspace(0.5, 100.0, 400)  # Hz
 SETTLE = 0.2  # s before a steady sine
+UNSURE = 0.1  # relative uncertainty from which on a frequency tells nothing of a corner
 
 
 class Figure(NamedTuple):
@@ -31,6 +32,20 @@ class Figure(NamedTuple):
     plots: list[Plot]
     logarithmic_x: bool
     notes: list[str]
+
+
+def _corners(measured: Response, static_gain: float) -> bode.Corners:
+    """-3 dB below ``static_gain`` [V/V] and -90° of the response itself, read between its frequencies.
+
+    The hold's half sample is taken off, so that they compare with those of a continuous model.
+    """
+    sure = measured.deviation < UNSURE * np.abs(measured.value)
+    if np.count_nonzero(sure) < 2:
+        return bode.Corners(None, None)
+    frequency = measured.frequency[sure]
+    value = measured.value[sure] / hold(frequency, measured.period)
+    # Far below the lowest frequency the phase is 0.
+    return bode.corners(np.append(bode.GRID[0], frequency), np.append(static_gain, value))
 
 
 class Measured(NamedTuple):
@@ -47,7 +62,7 @@ class Measured(NamedTuple):
     def said(self, label: str) -> str:
         """One sentence: gain at the lowest frequency, and the corner frequencies counted from there."""
         first = float(np.abs(self.response.value[0]))
-        level, phase = map(_hertz, measured_corners(self.response, first))
+        level, phase = map(_hertz, _corners(self.response, first))
         text = (
             f"{label}: {20.0 * np.log10(first):+.1f} dB at {self.response.frequency[0]:g} Hz, from there "
             f"-3 dB {level}, -90° {phase}"

@@ -123,12 +123,13 @@ def _identify(arguments: argparse.Namespace) -> int:
         result.check_parameters(result.parameters(found))
     if arguments.output is not None:
         files.append((arguments.output, result.yaml_text(found)))
-    if arguments.figure is not None:
-        files.append((arguments.figure, result.bode_figure(found, arguments.figure)))
     if arguments.json != "-":
         print(result.text(found))
     for path, content in files:
         deliver(arguments, path, content)
+    if arguments.figure is not None:
+        result.draw_bode(found, arguments.figure)
+        wrote(arguments, arguments.figure)
     for path in drawings:
         assert found.curve is not None
         characteristic.draw(found.curve, path)
@@ -204,4 +205,4 @@ def _recorded(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | 
     for path, part in zip(paths, ({}, {"start": None, "end": None}), strict=False):  # of a triangle all
         loaded = load(arguments, path, **part)
         tests.append(recorded.recorded(loaded, valve_of(arguments, path, loaded.valves)))
-    return tests[0], recorded.longest(tests[1]) if len(tests) > 1 else None
+    return tests[0], tests[1] if len(tests) > 1 else None

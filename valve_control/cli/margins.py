@@ -69,8 +69,6 @@ def _margins(arguments: argparse.Namespace) -> None:
     if arguments.json != "-":
         _print(law.name, found)
     warnings = [stability.warning(law, params), stability.valve_warning(law, params, plant, values)]
-    if not any(warnings):
-        warnings.append(stability.coil_warning(law, params, values))
     for warning in filter(None, warnings):
         print(f"warning: {warning}", file=sys.stderr)
     rows = {name: margins.as_dict(one) for name, one in found.items()}

@@ -368,13 +368,12 @@ class Controller(Managed):
         """Warn about unstable gains: in a thread, since the check takes up to twenty periods."""
         if self._unchecked:
             self._unchecked = False
-            law, params, values = LAWS[self._supervisor.name], self._params, self._supervisor.values
-            self._checked = self._checker.submit(self._warn_of, law, params, values)
+            self._checked = self._checker.submit(self._warn_of, LAWS[self._supervisor.name], self._params)
 
-    def _warn_of(self, law: Any, params: Any, values: Values) -> None:
+    def _warn_of(self, law: Any, params: Any) -> None:
         from valve_control.control.linear import stability  # with all plants; the first time before the loop
 
-        if text := stability.warning(law, params) or stability.coil_warning(law, params, values):
+        if text := stability.warning(law, params):
             self.get_logger().warning(text)
 
     # Services

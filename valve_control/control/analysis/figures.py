@@ -3,9 +3,8 @@
 """Draws runs over time and other curves with matplotlib, as PNG or SVG files."""
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,10 +12,7 @@ from valve_control import outputs
 from valve_control.arrays import Floats
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-PIECES = 6  # between two turns or rests of a command, that a detail shows, as three periods of a sine are
-LEAST = 0.1  # s  of a detail, that a step shows how it is answered
 FAR = 6.0  # times the least error of several runs, beyond which an error would hide the others
-ZOOMED = 0.5  # of a run, up to which a detail is worth its place
 
 
 class Trace(NamedTuple):
@@ -54,60 +50,28 @@ class Plot(NamedTuple):
     logarithmic: bool = False
 
 
-def _subplots(rows: int, columns: int, height: float) -> tuple[Any, Any]:
-    """Figure and its axes (rows×columns) with a grid; the axes of a column share their horizontal one."""
-    import matplotlib
+def draw_traces(path: Path, traces: Mapping[str, Trace], title: str) -> None:
+    """Draw command and position, error, and voltage over time, a colour per run. The runs have one command.
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    size = (9.0 * columns, height)
-    figure, axes = plt.subplots(rows, columns, figsize=size, sharex="col", squeeze=False)
-    for axis in axes.flat:
-        axis.grid(True, which="both", alpha=0.3)
-    return figure, axes
-
-
-def _detail(trace: Trace) -> slice | None:
-    """Samples of a few periods of the command, or of its last edge; None: they are most of the run."""
-    n, signs = len(trace.time), np.sign(np.diff(trace.command, prepend=trace.command[:1]))
-    begins = np.flatnonzero(np.diff(signs, prepend=0.0))
-    moves = [(first, end) for first, end in pairwise([*begins, n]) if signs[first] != 0.0]
-    usual = int(np.median([end - first for first, end in moves])) if moves else n
-    length = max(PIECES * usual, int(np.searchsorted(trace.time, LEAST)))
-    fitting = [at for first, _ in moves if 0 <= (at := first - length // 10) <= n - length]
-    return slice(fitting[-1], fitting[-1] + length) if fitting and length <= ZOOMED * n else None
-
-
-def _trace_plots(traces: Mapping[str, Trace], shown: slice) -> list[Plot]:
-    """Command and position, error, and voltage over time, of what is ``shown``; a colour per run."""
+    Raises OSError if ``path`` cannot be written.
+    """
     first = next(iter(traces.values()))
     stroke = float(np.ptp(first.command))
     errors = {label: trace.position - trace.command for label, trace in traces.items()}
     sizes = {label: float(np.sqrt(np.nanmean(np.square(error)))) for label, error in errors.items()}
-    top, middle, bottom = [Line("command", first.time[shown], first.command[shown], "black")], [], []
+    top, middle, bottom = [Line("command", first.time, first.command, "black")], [], []
     for i, (label, trace) in enumerate(traces.items()):
-        colour, time = COLOURS[i % len(COLOURS)], trace.time[shown]
+        colour, time = COLOURS[i % len(COLOURS)], trace.time
         error, rms = errors[label], sizes[label]
         label += f": {float(f'{1e3 * rms:.3g}'):g} mV rms"
         label += f", {100.0 * rms / stroke:.2g} % of stroke" if stroke > 0.0 else ""
-        top.append(Line(label, time, trace.position[shown], colour))
+        top.append(Line(label, time, trace.position, colour))
         if rms <= FAR * np.nanmin([*sizes.values()]):
-            middle.append(Line(label, time, 1e3 * error[shown], colour))
-        bottom.append(Line(label, time, trace.voltage[shown], colour))
-    title = "error [mV]" if len(middle) == len(traces) else "small errors [mV]"
-    return [Plot("spool position [V]", top), Plot(title, middle), Plot("voltage [V]", bottom)]
-
-
-def draw_traces(path: Path, traces: Mapping[str, Trace], title: str) -> None:
-    """Draw command and position, error, and voltage over time, a colour per run; beside it a detail of each.
-
-    The runs have one command. Raises OSError if ``path`` cannot be written.
-    """
-    columns = {"whole run": _trace_plots(traces, slice(None))}
-    if (detail := _detail(next(iter(traces.values())))) is not None:
-        columns["detail"] = _trace_plots(traces, detail)
-    draw_columns([path], columns, "time [s]", title)
+            middle.append(Line(label, time, 1e3 * error, colour))
+        bottom.append(Line(label, time, trace.voltage, colour))
+    name = "error [mV]" if len(middle) == len(traces) else "small errors [mV]"
+    plots = [Plot("spool position [V]", top), Plot(name, middle), Plot("voltage [V]", bottom)]
+    draw_columns([path], {"": plots}, "time [s]", title)
 
 
 def draw_columns(
@@ -121,11 +85,18 @@ def draw_columns(
 
     Raises OSError if a path cannot be written.
     """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
     rows = max(len(plots) for plots in columns.values())
-    figure, axes = _subplots(rows, len(columns), 1.2 + 2.4 * rows)
+    size = (9.0 * len(columns), 1.2 + 2.4 * rows)
+    figure, axes = plt.subplots(rows, len(columns), figsize=size, sharex="col", squeeze=False)
     for column, (name, plots) in zip(axes.T, columns.items(), strict=True):
         told: set[str] = set()  # lines that a legend above explains
         for axis, plot in zip(column, plots, strict=True):
+            axis.grid(True, which="both", alpha=0.3)
             for i, line in enumerate(plot.lines):
                 colour, style = line.colour or COLOURS[i % len(COLOURS)], "--" if line.dashed else "-"
                 axis.plot(line.x, line.y, color=colour, ls=style, lw=1.0, label=line.label)
@@ -143,14 +114,3 @@ def draw_columns(
     figure.tight_layout()
     for path in paths:
         outputs.write(str(path), outputs.figure_bytes(figure, str(path)))
-
-
-def bode_axes(title: str, gain_title: str) -> tuple[Any, Any, Any]:
-    """Figure with axes for gain [dB] and phase [°] over frequency [Hz], one above the other."""
-    figure, axes = _subplots(2, 1, 8.0)
-    top, bottom = axes[:, 0]
-    top.set_ylabel(gain_title)
-    bottom.set_ylabel("phase [°]")
-    bottom.set_xlabel("frequency [Hz]")
-    figure.suptitle(title)
-    return figure, top, bottom

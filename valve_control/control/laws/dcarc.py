@@ -686,12 +686,6 @@ def sampled_model(p: Params) -> tuple[Floats, Floats] | None:
     return a, b
 
 
-def known_valve(values: Values) -> tuple[Floats, Floats] | None:
-    """``sampled_model`` of the controller's values if that model has three more poles than zeros."""
-    p = build(values)
-    return sampled_model(p) if p.reshaping.smoothing > 0.0 else None
-
-
 def without_adaptation(p: Params, s: State) -> tuple[Params, State]:
     """The law with its weights at rest."""
     still = p._replace(prior=NOTHING, magnet=p.magnet._replace(prior=magnet.NONE))
@@ -772,7 +766,6 @@ LAW = Law(
     build=build,
     model=model,
     sampled_model=sampled_model,
-    known_valve=known_valve,
     form=tuple(f"dcarc.{name}" for name in FORM),
     dead_time="dcarc.delay",
     linear=without_adaptation,

@@ -41,8 +41,6 @@ class Law(NamedTuple):
     # transition matrix (n×n) and input column (n) of the sampled model that a set of Params believes in,
     # position first, where (1) leaves out what the loop needs; None: (1) with what ``model`` gives will do
     sampled_model: Callable[[Any], tuple[Floats, Floats] | None] = by_slow_motion
-    # the same of a valve with a coil, where the controller's values describe one; None: they do not
-    known_valve: Callable[[Values], tuple[Floats, Floats] | None] = by_slow_motion
     # whether a set of Params follows a reshaped reference
     reshapes: Callable[[Any], bool] = lambda params: True
     # command under which the law goes on as it is, from which a takeover lets the real one fade in

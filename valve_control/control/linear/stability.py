@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from valve_control.control.laws import linearisation
-from valve_control.control.laws.law import Law, by_slow_motion
-from valve_control.control.laws.registry import LAWS
+from valve_control.control.laws.law import Law
 from valve_control.control.linear import linear_loop
 from valve_control.control.linear.linear_loop import LinearValves
 from valve_control.control.plant import registry, valve
@@ -55,48 +54,20 @@ def dominant_pole(law: Law, params: Any, plant: Any) -> complex:
     return pole_of(law, params, linear_loop.linear_valves([plant]))
 
 
-def _gained(law: Law, params: Any, own: LinearValves, lower: str) -> tuple[str, str]:
-    """Largest pole and remedy of the loop around ``own`` (one), as it is or 2 dB above it; "": it is stable.
-
-    ``lower``: as for ``_advice``.
-    """
-    at_rest, gained = (pole_of(law, params, own._replace(b=gain * own.b)) for gain in (1.0, GAIN_MARGIN))
-    pole = max(at_rest, gained, key=abs)
-    if abs(pole) < 1.0:
-        return "", ""
-    return _largest(pole, params), law.remedy if abs(at_rest) < 1.0 else _advice(law, params, own, lower)
-
-
 def warning(law: Law, params: Any) -> str:
     """One sentence if the sampled loop is unstable with b0 as assumed or 2 dB above it, else ""."""
     if law.model is None:
         return ""
-    pole, remedy = _gained(law, params, believed(law, params), law.remedy)
-    return pole and (
-        f"{law.name} with these gains is unstable, or within 2 dB of it, at a sample period of "
-        f"{params.period:g} s ({pole}); {remedy}"
-    )
-
-
-def coil_warning(law: Law, params: Any, values: Values) -> str:
-    """One sentence if the sampled loop is unstable on a valve whose coil the ``law`` does not know, else "".
-
-    A law that believes in (1) has no coil. The controller's ``values`` tell of one where another law's
-    ``known_valve`` has it: this is then the valve, with its gain as it is and 2 dB above.
-    """
-    if law.model is None or law.sampled_model is not by_slow_motion:
+    own = believed(law, params)
+    at_rest, gained = (pole_of(law, params, own._replace(b=gain * own.b)) for gain in (1.0, GAIN_MARGIN))
+    pole = max(at_rest, gained, key=abs)
+    if abs(pole) < 1.0:
         return ""
-    for other in LAWS.values():
-        exact = other.known_valve(values)
-        if exact is None:
-            continue
-        pole, remedy = _gained(law, params, linear_loop.undelayed(*exact), "lower the gains")
-        if pole:
-            return (
-                f"{law.name} knows no coil, and on the model of {other.name}, which has one, it is unstable "
-                f"with these gains, or within 2 dB of it ({pole}); {remedy}, or use {other.name}"
-            )
-    return ""
+    remedy = law.remedy if abs(at_rest) < 1.0 else _advice(law, params, own, law.remedy)
+    return (
+        f"{law.name} with these gains is unstable, or within 2 dB of it, at a sample period of "
+        f"{params.period:g} s ({_largest(pole, params)}); {remedy}"
+    )
 
 
 def behind_curve(values: Values, plant: Any) -> list[Any]:

@@ -126,7 +126,7 @@ def simulate(
     position, measurement, voltage = signals.T
     least = number(controller_values, "oscillation_limit")
     warnings_found = [
-        *_unstable(loop, controller_values, alone, least, compiled),
+        *_unstable(loop, controller_values, least, compiled),
         _cut(law, law_params, terms, build.valve_model(valve_values)),
     ]
     true_error = position - command
@@ -229,18 +229,14 @@ def _ran(
     return signals, end
 
 
-def _unstable(loop: _Loop, values: Values, alone: bool, least: float, compiled: bool) -> list[str]:
+def _unstable(loop: _Loop, values: Values, least: float, compiled: bool) -> list[str]:
     """Sentences about a loop that is unstable, or may swing by more than ``least`` [V]; "" for none.
 
-    ``values``: of the controller, with the curve of its linearisation, and with a law that may know of a
-    coil unless the law is ``alone``.
+    ``values``: of the controller, with the curve of its linearisation.
     """
     law, params, _, plant = loop
     on_valve = stability.valve_warning(law, params, plant, values)
-    known = stability.warning(law, params)
-    if not known and not on_valve and not alone:
-        known = stability.coil_warning(law, params, values)
-    return [known, on_valve or _probe(loop, least, compiled)]
+    return [stability.warning(law, params), on_valve or _probe(loop, least, compiled)]
 
 
 def _probe(loop: _Loop, least: float, compiled: bool) -> str:

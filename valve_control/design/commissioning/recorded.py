@@ -125,7 +125,7 @@ def run(
     """
     if "spool_command" not in valve.signals or len(valve.signals["spool_command"].time) == 0:
         raise BagError(f"{valve.name} has no spool_command, so there is nothing to tune on")
-    tested = recorded.longest(recorded.recorded(loaded, valve))
+    tested = recorded.recorded(loaded, valve)
     fitted = learnt(tested, settings["valve_simulator"], fixed)
     controller = settings["controller"]
     if valve.controller is not None:

@@ -13,7 +13,6 @@ directions the edge e of the overlap, and half of their distance W what play and
 """
 
 import math
-from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -34,8 +33,6 @@ POINTS = 100
 STRAIGHT = (0.15, 0.8)  # of the end of a stroke, between which a side is a straight line
 LEAST_POINTS = 20
 CONFIDENCE = 0.95
-END = 0.05  # of a stroke, in which it shows a stop ...
-FLAT = 0.2  # ... where its slope is below this share of the gain
 TOLD_OVERLAP, TOLD_GAIN = 0.05, 0.03  # V and share of the gain, from which on they are told beside bounds
 WHOLE = 0.9  # of the largest travel of the voltage, that a stroke has to have
 EQUAL = 0.02  # by which strokes may differ in length
@@ -54,9 +51,7 @@ BEYOND = 1.2  # times the friction, which that of a fit may have
 SAME = 0.1  # of the friction, by which that of the curve may differ where its presliding is to count
 HARDLY = 1.01  # times the least presliding that is looked for, up to which none was seen
 SLOWEST = 5.0  # lags of the valve, that a stroke takes at least between its turn and STEADY
-TOLD_PLAY = 0.05  # V
 DEAD = 0.05  # of the gain, slope of the table in an overlap: its inverse is steep there, and no step
-STOPPED = 0.02  # of the gain, slope of the table behind a stop
 
 
 class Shares(NamedTuple):
@@ -94,7 +89,6 @@ class Side(NamedTuple):
 
     gain: Bounded  # V/V
     edge: Bounded  # V  voltage from which on the spool moves to this side, mean of both directions
-    stop: Bounded | None  # V  position at which the spool stands still; None: not reached
 
 
 class Characteristic(NamedTuple):
@@ -270,7 +264,7 @@ def _curve(t: Triangle) -> Characteristic:
         rises, falls = (_mean(part[:, 1]) for part in lines)
         edge = _middle(rises, falls)
         widths.append(Bounded(rises.value - falls.value, 2.0 * edge.bound))
-        sides.append(Side(gain, edge, _stop(up if sign > 0.0 else down, sign, gain.value)))
+        sides.append(Side(gain, edge))
     positive, negative = sides
     null = _middle(positive.edge, negative.edge)
     return Characteristic(
@@ -304,40 +298,10 @@ def _line(u: Floats, x: Floats, sign: float) -> tuple[float, float]:
     return float(gain), float(-at_zero / gain)
 
 
-def _stop(strokes: Sequence[tuple[Floats, Floats]], sign: float, gain: float) -> Bounded | None:
-    """Position [V] of a stop on the side ``sign`` at the end of ``strokes``; None: they do not reach it."""
-    ends, slopes = [], []
-    for u, x in strokes:
-        count = max(LEAST_POINTS, round(END * len(u)))
-        last = slice(-count, None) if sign > 0.0 else slice(count)
-        slopes.append(float(np.polyfit(u[last], x[last], 1)[0]))
-        ends.append(float(np.mean(x[last])))
-    return _mean(np.array(ends)) if np.mean(slopes) < FLAT * gain else None
-
-
 def _mean(values: Floats) -> Bounded:
     """Mean of the strokes' ``values`` with the half-width of its 95 % confidence interval."""
     quantile = float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1))
     return Bounded(float(np.mean(values)), quantile * float(scipy.stats.sem(values)))
-
-
-def notes(found: Characteristic) -> list[str]:
-    """What the curve has beside one gain and friction, as sentences."""
-    sentences = []
-    if found.lopsided:
-        sentences.append(
-            f"the curve has an overlap of {found.overlap.value:.3g} ± {found.overlap.bound:.2g} V and gains "
-            f"of {found.positive.gain.value:.4g} and {found.negative.gain.value:.4g} V/V above and below; "
-            "the model has one gain and no overlap"
-        )
-    if found.shares is not None and found.shares.play > TOLD_PLAY:
-        unseen = found.shares.presliding <= HARDLY * PRESLIDING[0]
-        either = ", or friction without presliding, which looks the same" if unseen else ""
-        sentences.append(
-            f"{found.shares.play:.2g} V of the friction are play (hysteresis of the magnet){either}: "
-            "the model has no play and takes both for friction"
-        )
-    return sentences
 
 
 def parameters(found: Characteristic, gain: float, u_max: float) -> Values:
@@ -362,11 +326,7 @@ def parameters(found: Characteristic, gain: float, u_max: float) -> Values:
             begin = other.edge.value
         points[begin] = g * (begin - e)
         end = sign * u_max
-        stop = end if side.stop is None else e + side.stop.value / g
-        if sign * (end - stop) > 0.0 and sign * (stop - begin) > 0.0:
-            points[stop] = g * (stop - e)
-            points[end] = points[stop] + STOPPED * gain * (end - stop)
-        elif sign * (end - begin) > 0.0:
+        if sign * (end - begin) > 0.0:
             points[end] = g * (end - e)
     made: Values = {
         "linearisation.enabled": True,
@@ -390,20 +350,17 @@ def text(found: Characteristic) -> str:
         f"{known_part(one.value, one.bound):.4g} ± {one.bound:.2g} V"
         for one in (found.positive.gain, found.negative.gain, found.overlap, found.null, found.hysteresis)
     )
-    low, high = (
-        "not reached" if side.stop is None else f"{side.stop.value:.3g} V"
-        for side in (found.negative, found.positive)
-    )
     lines = [
         f"characteristic: gain {above}/V above, {below}/V below ({found.strokes} strokes)",
         f"  overlap {overlap}, null {null}, hysteresis {hysteresis}",
-        f"  stops: {low} below, {high} above",
     ]
     if found.shares is not None:
         play, friction, presliding = found.shares
+        unseen = presliding <= HARDLY * PRESLIDING[0]
+        either = " (or friction without presliding, which looks the same)" if unseen else ""
         lines.append(
-            f"  half of the hysteresis: play {play:.3g} V, friction {friction:.3g} V with a presliding of "
-            f"{1e3 * presliding:.3g} mV"
+            f"  half of the hysteresis: play {play:.3g} V{either}, friction {friction:.3g} V with a "
+            f"presliding of {1e3 * presliding:.3g} mV"
         )
     return "\n".join(lines)
 

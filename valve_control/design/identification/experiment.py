@@ -26,8 +26,6 @@ SPAN = 5.0  # highest over lowest frequency that a model needs at least
 HELD_TRAVEL = 0.1  # V, and
 HELD_GAIN = 0.25  # V/V, below both of which a spool may be held by friction: its bristles give a few 0.01 V
 SAMPLES = 20.0  # in a period of a valve's natural frequency, where holding the voltage costs 9° of phase
-INCOHERENT = 0.9  # coherence below which a frequency is named
-NAMED = 5  # frequencies, at most
 BRIDGED = 5  # samples in a row that are not known and are filled in
 LEAST_STRETCH = 100  # samples
 # Windows that are looked at for feedback, their samples, the older ones that count, the delays of a law.
@@ -225,21 +223,6 @@ def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | 
             f"{SPAN:g}:1 at least: {reasons}; {response.NEXT}"
         )
     return measured
-
-
-def coherence_notes(measured: Response) -> list[str]:
-    """Frequencies at which much of the motion is not the voltage's, as a sentence."""
-    weak = np.flatnonzero(measured.coherence < INCOHERENT)
-    if len(weak) == 0:
-        return []
-    worst = sorted(weak[np.argsort(measured.coherence[weak], kind="stable")[:NAMED]])
-    named = ", ".join(f"{measured.frequency[i]:.3g} Hz ({measured.coherence[i]:.3f})" for i in worst)
-    more = f" and {len(weak) - len(worst)} more" if len(weak) > len(worst) else ""
-    return [
-        f"coherence below {INCOHERENT:g} at {named}{more}: noise, friction or another motion makes more than "
-        f"{100.0 * (1.0 - INCOHERENT):.0f} % of the power of the position there; a larger amplitude or a "
-        "longer test tells more"
-    ]
 
 
 def period_notes(period: float, second: Fit) -> list[str]:

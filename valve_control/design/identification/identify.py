@@ -138,9 +138,7 @@ def _with_gains(
     notes = [
         *tested.notes,
         *measured.notes,
-        *experiment.coherence_notes(measured),
         *experiment.period_notes(measured.period, second),
-        *([] if curve is None else characteristic.notes(curve)),
         *dead_time.notes(best.delay, request.sensor_delay),
         *gains.notes,
     ]

@@ -22,7 +22,7 @@ import scipy.stats
 
 from valve_control.arrays import Complexes, Floats
 from valve_control.control.plant.models import TransferFunction
-from valve_control.design.identification.bode import GRID, Corners, corners, held_response, model_corners
+from valve_control.design.identification.bode import Corners, held_response, model_corners
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
 
@@ -34,7 +34,6 @@ CLEAR = 0.3  # of a denominator's coefficient, a bound up to which an order is c
 EXPLAINED = 0.1  # relative error that noise does not explain up to which bounds hold ...
 EXCITED = 0.02  # ... or usual relative uncertainty of a test that tells the response well
 MISSED = 0.5  # of the response, rms, likewise
-UNSURE = 0.1  # relative uncertainty from which on a frequency tells nothing of a corner
 UNSTABLE = 3.0  # times the error of unstable poles that stable ones may have
 WIDEST = 14.0  # logarithm of a factor's coefficient over the scale
 ROUNDS = 30  # of the start's iteration
@@ -62,7 +61,6 @@ class Fit(NamedTuple):
     error: float  # rms of the relative error
     model_error: float  # relative error that the noise does not explain
     corners: Corners
-    corner_bounds: Corners  # half-widths of their 95 % confidence intervals [Hz]
     bounded: bool = True  # whether the test tells the bounds
     criterion: float = math.inf  # Schwarz's [3]: -2·(log likelihood) + (unknowns)·log(numbers measured)
 
@@ -210,21 +208,9 @@ def fit(
         error=error,
         model_error=model_error,
         corners=model_corners(model, delay),
-        corner_bounds=_corner_bounds(form, x, quantile * inverse),
         bounded=model_error <= EXPLAINED or float(np.median(measured.deviation / size)) <= EXCITED,
         criterion=misfit + len(x) * math.log(2 * len(size)),
     )
-
-
-def _corner_bounds(form: _Form, x: Floats, spread: Floats) -> Corners:
-    """Bounds of the corners of the unknowns ``x``, which independent errors of unit size ``spread``."""
-
-    def at(x: Floats) -> Floats:
-        return np.array(model_corners(*form.model(x)), dtype=np.float64)  # None is NaN
-
-    slopes = scipy.optimize.approx_fprime(x, at, 1e-4 * np.maximum(np.abs(x), 0.01))
-    bounds = np.linalg.norm(slopes @ spread, axis=1)
-    return Corners(*(float(bound) if np.isfinite(bound) else None for bound in bounds))
 
 
 def _check_poles(model: TransferFunction, order: int, frequency: Floats) -> None:
@@ -317,20 +303,6 @@ def choose(measured: Response, order: int | None = None) -> Fit:
         except ParameterError as error:
             refusals.append(error)
     raise refusals[0]
-
-
-def measured_corners(measured: Response, static_gain: float) -> Corners:
-    """-3 dB below ``static_gain`` [V/V] and -90° of the response itself, read between its frequencies.
-
-    The hold's half sample is taken off, so that they compare with those of a continuous model.
-    """
-    sure = measured.deviation < UNSURE * np.abs(measured.value)
-    if np.count_nonzero(sure) < 2:
-        return Corners(None, None)
-    frequency = measured.frequency[sure]
-    value = measured.value[sure] / hold(frequency, measured.period)
-    # Far below the lowest frequency the phase is 0.
-    return corners(np.append(GRID[0], frequency), np.append(static_gain, value))
 
 
 def hold(frequency: Floats, period: float) -> Complexes:

@@ -102,24 +102,6 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
     )
 
 
-def longest(tested: Experiment) -> Experiment:
-    """The longest part of ``tested`` between two leaps of time."""
-    if not tested.leaps:
-        return tested
-    bounds = np.array([0, *tested.leaps, len(tested.voltage)])
-    at = int(np.argmax(np.diff(bounds)))
-    whole = slice(bounds[at], bounds[at + 1])
-    voltage, times, command = tested.voltage[whole], tested.times, tested.command
-    return tested._replace(
-        voltage=voltage,
-        position=tested.position[whole],
-        command=None if command is None else command[whole],
-        times=times and times._replace(voltage=times.voltage[whole], late=times.late[whole]),
-        leaps=(),
-        notes=(*tested.notes, f"only {len(voltage) * tested.period:.4g} s between two leaps are used"),
-    )
-
-
 def _times(
     aligned: Aligned, valve: ValveRecording, index: Integers, time: Floats, period: float
 ) -> RecordedTimes | None:

@@ -33,7 +33,6 @@ CERTAIN = 1e-6  # relative uncertainty that no response falls below
 BAND_RATIO = 1.06  # upper over lower end of a band of frequencies that is averaged over
 BAND_BINS = 12  # at least, in it
 DEGREE = 2  # of the polynomials in it
-DISTORTED = 0.02  # of the amplitude, harmonics that are told
 APART = 0.1  # of a voltage's spectrum in a band, what must not look like a transient
 NEXT = "record a stepped sine or a sweep of 60 s from 0.5 Hz on, with a larger amplitude"
 SILENT = 1e-3  # of the largest amplitude, below which a voltage does not move
@@ -90,7 +89,6 @@ def stepped(
     uncertainty. Samples that are NaN are left out. Raises ParameterError if too little is left.
     """
     points, notes = [], list[str]()
-    most, at = DISTORTED, 0.0
     for first, end, frequency in segments:
         refuse_aliased(frequency, period)
         turns = frequency * period
@@ -110,8 +108,6 @@ def stepped(
         y, noise = phasor(position[k], k, turns)
         if abs(u) < 1e-6:
             raise ParameterError(f"the voltage does not move at {frequency:.4g} Hz; there is no excitation")
-        harmonics = _harmonics(position[k], k, turns) / max(abs(y), 1e-300)
-        most, at = max((most, at), (harmonics, frequency), key=lambda one: one[0])
         value = y / u
         deviation = math.hypot(noise, abs(value) * around) * math.sqrt(2.0 / len(k)) / abs(u)
         if abs(value) < RESOLUTION * deviation:
@@ -122,26 +118,7 @@ def stepped(
             continue
         shares = [0.5 * abs(x) ** 2 / (0.5 * abs(x) ** 2 + n**2) for x, n in ((u, around), (y, noise))]
         points.append((frequency, value, max(deviation, CERTAIN * abs(value)), min(shares)))
-    if at > 0.0:
-        notes.append(
-            f"the position has harmonics of up to {100.0 * most:.3g} % (at {at:.4g} Hz): friction or another "
-            "nonlinearity, so the response holds for this amplitude alone"
-        )
     return _response(points, period, "stepped sine", notes)
-
-
-def _harmonics(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> float:
-    """Amplitude of the second to fifth harmonic together, as far as they stand out of the noise."""
-    orders = np.arange(1, min(5, math.floor(0.49 / turns)) + 1)
-    waves = np.exp(2j * np.pi * turns * np.outer(index, orders))
-    matrix = np.column_stack([np.ones(len(index)), waves.real, waves.imag])
-    if len(index) <= 2 * matrix.shape[1]:
-        return 0.0
-    fit, _, _, _ = np.linalg.lstsq(matrix, signal, rcond=None)
-    rest = signal - matrix @ fit
-    floor = 2.0 * RESOLUTION * math.sqrt(2.0 * float(rest @ rest)) / len(index)
-    sizes = np.hypot(fit[1 : len(orders) + 1], fit[len(orders) + 1 :])[1:]
-    return math.hypot(*sizes[sizes > floor])
 
 
 def phasor(signal: Floats, index: npt.NDArray[np.int64], turns: float) -> tuple[complex, float]:

@@ -2,18 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes a valve that was identified, or given: text, JSON, ROS 2 parameter file, Bode plot."""
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from valve_control import outputs
-from valve_control.control.analysis.figures import COLOURS, bode_axes
+from valve_control.control.analysis.figures import Line, Plot, draw_columns
 from valve_control.control.laws.registry import ADAPTIVE
 from valve_control.control.parameters import build
 from valve_control.control.parameters.ros_file import as_yaml
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant.models import TransferFunction
-from valve_control.design.identification import bode, characteristic, rational
+from valve_control.design.identification import bode, characteristic
 from valve_control.design.identification.bode import Corners, Root
 from valve_control.design.identification.characteristic import Characteristic, known_part
 from valve_control.design.identification.first_gains import KnownValve, rounded
@@ -22,7 +22,6 @@ from valve_control.design.identification.response import Response
 from valve_control.parameter import Values, defaults, updated
 
 STABLE = "Stable with 0.67 to 1.5 times the gain, 0.8 to 1.25 times the speed, one more sample of delay."
-UNBOUNDED = Corners(None, None)
 NEAR = 1.1  # times the highest excited frequency, and over the lowest, up to which a test tells something
 
 
@@ -36,7 +35,6 @@ class Identification(NamedTuple):
     measured: Response | None = None  # None: not tested
     fits: tuple[Fit, ...] = ()  # the last one stands for the valve
     curve: Characteristic | None = None  # None: not tested, or to one side alone
-    simulated: Values = {}  # of the simulator, what it has beside the model and in its place
 
 
 def polynomial(coefficients: tuple[float, ...]) -> str:
@@ -49,13 +47,9 @@ def polynomial(coefficients: tuple[float, ...]) -> str:
     return text
 
 
-def hertz(frequency: float | None, bound: float | None = None) -> str:
-    """A frequency as text for a table, with its ``bound`` if there is one, or that there is none."""
-    if frequency is None:
-        return "none"
-    return (
-        f"{frequency:.2f} Hz" if bound is None else f"{known_part(frequency, 0.1 * bound):g} ± {bound:.2g} Hz"
-    )
+def hertz(frequency: float | None) -> str:
+    """A frequency as text for a table, or that there is none."""
+    return "none" if frequency is None else f"{frequency:.2f} Hz"
 
 
 def roots_text(roots: list[Root], measured: Response | None = None) -> str:
@@ -74,9 +68,9 @@ def model_text(model: TransferFunction) -> str:
     return f"({polynomial(model.numerator)}) / ({polynomial(model.denominator)})"
 
 
-def corners_text(corners: Corners, bounds: Corners = UNBOUNDED) -> str:
-    """Frequencies of -3 dB and -90°, with their ``bounds``."""
-    return f"-3 dB at {hertz(corners[0], bounds[0])}, -90° at {hertz(corners[1], bounds[1])}"
+def corners_text(corners: Corners) -> str:
+    """Frequencies of -3 dB and -90°."""
+    return f"-3 dB at {hertz(corners.minus_3db)}, -90° at {hertz(corners.minus_90)}"
 
 
 def _excited(frequency: float, measured: Response) -> bool:
@@ -109,7 +103,7 @@ def fit_text(fit: Fit, measured: Response) -> str:
         *_coefficients(fit, "  {0:6} {1:14.7g} ± {2:10.3g}  ({3:.2g} %)"),
         f"  static gain {fit.model.static_gain:.5f}{width} V/V; fit error {100 * fit.error:.3g} % rms{share}",
         f"  poles {poles}; zeros {zeros}",
-        f"  {corners_text(_corners(fit, measured), fit.corner_bounds if fit.bounded else UNBOUNDED)}",
+        f"  {corners_text(_corners(fit, measured))}",
     ]
     return "\n".join(lines)
 
@@ -122,12 +116,11 @@ def text(found: Identification) -> str:
         lines = [found.source, model_text(known.model), f"  {corners}", f"  box of the first gains: {STABLE}"]
     else:
         relative = 100.0 * m.deviation / np.abs(m.value)
-        corners = corners_text(rational.measured_corners(m, known.model.static_gain))
         lines = [
             found.source,
             f"measured: {m.method}, {len(m.frequency)} frequencies from {m.frequency[0]:.4g} to "
             f"{m.frequency[-1]:.4g} Hz, uncertainty {np.min(relative):.2g} to {np.max(relative):.2g} %, "
-            f"coherence {np.min(m.coherence):.3f} to {np.max(m.coherence):.3f}; {corners}",
+            f"coherence {np.min(m.coherence):.3f} to {np.max(m.coherence):.3f}",
             *(fit_text(fit, m) for fit in found.fits),
         ]
     for label, values in zip(("initial", "min    ", "max    "), known.theta, strict=True):
@@ -149,7 +142,7 @@ def parameters(found: Identification) -> dict[str, Values]:
     """Parameters for the nodes: the valve's model, a compensator for it, the adaptive laws' estimates."""
     known, rubbing = found.known, found.known.friction
     numerator, denominator = map(list, known.model)
-    valve: Values = found.simulated or {
+    valve: Values = {
         "valve": "custom",
         "numerator": numerator,
         "denominator": denominator,
@@ -221,9 +214,9 @@ def model_dict(model: TransferFunction) -> dict[str, Any]:
     return {"numerator": list(model.numerator), "denominator": list(model.denominator)}
 
 
-def corners_dict(corners: Corners, what: str = "") -> dict[str, float | None]:
-    """Frequencies of -3 dB and -90°, or ``what`` of them this is, for JSON."""
-    return {f"{name}{what}_hz": frequency for name, frequency in corners._asdict().items()}
+def corners_dict(corners: Corners) -> dict[str, float | None]:
+    """Frequencies of -3 dB and -90° for JSON."""
+    return {f"{name}_hz": frequency for name, frequency in corners._asdict().items()}
 
 
 def fit_dict(fit: Fit, measured: Response) -> dict[str, Any]:
@@ -243,7 +236,6 @@ def fit_dict(fit: Fit, measured: Response) -> dict[str, Any]:
         "error": fit.error,
         "model_error": fit.model_error,
         **corners_dict(_corners(fit, measured)),
-        **corners_dict(fit.corner_bounds if fit.bounded else UNBOUNDED, "_bound"),
     }
 
 
@@ -259,11 +251,7 @@ def as_dict(found: Identification) -> dict[str, Any]:
             **corners_dict(bode.model_corners(known.model, known.delay)),
         }
     else:
-        about["response"] = {
-            "method": m.method,
-            **m.as_dict(),
-            **corners_dict(rational.measured_corners(m, known.model.static_gain)),
-        }
+        about["response"] = {"method": m.method, **m.as_dict()}
         about["fits"] = [fit_dict(fit, m) for fit in found.fits]
         about["best_order"] = found.fits[-1].order
     about["theta"] = dict(zip(("initial", "min", "max"), known.theta, strict=True))
@@ -281,29 +269,18 @@ def plain(value: Any) -> Any:
     )
 
 
-def bode_figure(found: Identification, path: str) -> bytes:
-    """Draw the measured response with 95 % error bars and the fits, as the file ``path``."""
-    measured = found.measured
-    assert measured is not None
-    figure, top, bottom = bode_axes(found.source, "position over voltage [dB]")
-    share = 1.96 * measured.deviation / np.abs(measured.value)
-    bar = np.vstack([-20.0 * np.log10(np.maximum(1.0 - share, 0.05)), 20.0 * np.log10(1.0 + share)])
-    turn = np.degrees(np.minimum(share, np.pi))
-    label = f"measured ({measured.method})"
-    for axes, read, bars in ((top, bode.decibels, bar), (bottom, bode.degrees, turn)):
-        axes.errorbar(
-            measured.frequency, read(measured.value), yerr=bars,
-            fmt="o", ms=4, color="black", lw=1.0, capsize=2, label=label,
-        )  # fmt: skip
-    share_axis = top.twinx()
-    share_axis.plot(measured.frequency, measured.coherence, ".--", ms=3, lw=0.8, color="gray")
-    share_axis.set(ylabel="coherence (gray)", ylim=(0.0, 1.05))
-    frequency = np.geomspace(measured.frequency[0], measured.frequency[-1], 500)
-    for fit, colour in zip(found.fits, COLOURS, strict=False):
-        value = bode.held_response(fit.model, frequency, measured.period, fit.delay)
-        label = f"order {fit.order}, error {100 * fit.error:.2g} %"
-        top.semilogx(frequency, bode.decibels(value), color=colour, label=label)
-        bottom.semilogx(frequency, bode.degrees(value), color=colour, label=label)
-    top.legend(loc="lower left")
-    figure.tight_layout()
-    return outputs.figure_bytes(figure, path)
+def draw_bode(found: Identification, path: str) -> None:
+    """Draw the measured response, its coherence and the fits, as the file ``path``. Raises OSError."""
+    m = found.measured
+    assert m is not None
+    frequency, plots = np.geomspace(m.frequency[0], m.frequency[-1], 500), []
+    for title, read in (("position over voltage [dB]", bode.decibels), ("phase [°]", bode.degrees)):
+        lines = []
+        for fit in found.fits:
+            value = bode.held_response(fit.model, frequency, m.period, fit.delay)
+            label = f"order {fit.order}, error {100 * fit.error:.2g} %"
+            lines.append(Line(label, frequency, read(value)))
+        lines.append(Line(f"measured ({m.method})", m.frequency, read(m.value), "black", True))
+        plots.append(Plot(title, lines))
+    plots.append(Plot("coherence", [Line("", m.frequency, m.coherence, "gray")]))
+    draw_columns([Path(path)], {"": plots}, "frequency [Hz]", found.source, logarithmic_x=True)
