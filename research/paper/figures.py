@@ -102,7 +102,7 @@ def _bode(
         Plot(
             title,
             [
-                Line(label, f, read(value), (colours or {}).get(label, ""), dashed)
+                Line(label, f, read(value), (colours or {}).get(label, ""), "--" if dashed else "-")
                 for label, (f, value, dashed) in lines.items()
             ],
         )

@@ -98,11 +98,11 @@ def _notes(setup: "Setup", found: "Run") -> str:
 def _draw(path: Path, found: "Run", title: str) -> None:
     s, t = found.signals, found.time
     plots = [
-        Plot("position [m]", [Line("goal", t, s["goal"], dashed=True), Line("axis", t, s["position"])]),
+        Plot("position [m]", [Line("goal", t, s["goal"], style="--"), Line("axis", t, s["position"])]),
         Plot("error [mm]", [Line("goal less position", t, 1e3 * (s["goal"] - s["position"]))]),
         Plot(
             "spool [V]",
-            [Line("command", t, s["spool_command"], dashed=True), Line("spool", t, s["spool"])],
+            [Line("command", t, s["spool_command"], style="--"), Line("spool", t, s["spool"])],
         ),
         Plot(
             "pressure [bar]",

@@ -226,5 +226,5 @@ def _signal_plots(valve: ValveAnalysis, signals: Aligned) -> list[Plot]:
         time = (state.values["sample"] - state.values["sample"][0]) * signals.period
     plots += [Plot(f"θ̂ {n}", [Line(f"θ̂ {n}", time, values, "#CC79A7")]) for n, values in theta.items()]
     v2 = Line("V2", time, state.values["lyapunov"], "#56B4E9")
-    bound = Line("bound of V2", time, state.values["lyapunov_bound"], "#E69F00", dashed=True)
+    bound = Line("bound of V2", time, state.values["lyapunov_bound"], "#E69F00", style="--")
     return [*plots, Plot("V2", [v2, bound], logarithmic=True)]

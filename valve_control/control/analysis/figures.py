@@ -31,7 +31,7 @@ class Line(NamedTuple):
     x: Floats
     y: Floats
     colour: str = ""
-    dashed: bool = False
+    style: str = "-"  # of matplotlib: "-", "--" or "o"
 
 
 class Band(NamedTuple):
@@ -98,8 +98,8 @@ def draw_columns(
         for axis, plot in zip(column, plots, strict=True):
             axis.grid(True, which="both", alpha=0.3)
             for i, line in enumerate(plot.lines):
-                colour, style = line.colour or COLOURS[i % len(COLOURS)], "--" if line.dashed else "-"
-                axis.plot(line.x, line.y, color=colour, ls=style, lw=1.0, label=line.label)
+                colour = line.colour or COLOURS[i % len(COLOURS)]
+                axis.plot(line.x, line.y, line.style, color=colour, lw=1.0, ms=3.0, label=line.label)
             axis.set_ylabel(plot.title)
             axis.set_yscale("log" if plot.logarithmic else "linear")
             axis.set_xscale("log" if logarithmic_x else "linear")

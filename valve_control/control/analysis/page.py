@@ -62,7 +62,7 @@ def figure(
         for i, line in enumerate(plot.lines):
             x, y = envelope(line.x, line.y)
             style: dict[str, Any] = {"width": 1.2, "color": line.colour or COLOURS[i % len(COLOURS)]}
-            if line.dashed:
+            if line.style == "--":
                 style["dash"] = "dash"
             ring = {"size": 14, "symbol": "circle-open", "line": {"width": 2.5}, "color": style["color"]}
             result.add_trace(

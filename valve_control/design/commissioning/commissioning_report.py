@@ -126,7 +126,7 @@ def _response(found: Result) -> str:
     value = bode.held_response(valve.model, frequency, measured.period, valve.delay)
     plots = []
     for title, read in (("[dB]", bode.decibels), ("[deg]", bode.degrees)):
-        model = Line("model", frequency, read(value), dashed=True)
+        model = Line("model", frequency, read(value), style="--")
         plots.append(Plot(title, [Line("measured", measured.frequency, read(measured.value)), model]))
     plots.append(Plot("coherence", [Line("measured", measured.frequency, measured.coherence)]))
     return (

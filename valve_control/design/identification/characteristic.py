@@ -374,5 +374,5 @@ def draw(found: Characteristic, path: str) -> None:
     for side, end in ((found.positive, found.voltage[-1]), (found.negative, found.voltage[0])):
         at = np.array([side.edge.value, end])
         label = f"{side.gain.value:.3g} V/V from {side.edge.value:.3g} V on"
-        lines.append(Line(label, at, side.gain.value * (at - side.edge.value), "black", True))
+        lines.append(Line(label, at, side.gain.value * (at - side.edge.value), "black", "--"))
     draw_columns([Path(path)], {"": [Plot("position [V]", lines)]}, "voltage [V]", "characteristic curve")

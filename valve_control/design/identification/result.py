@@ -280,7 +280,7 @@ def draw_bode(found: Identification, path: str) -> None:
             value = bode.held_response(fit.model, frequency, m.period, fit.delay)
             label = f"order {fit.order}, error {100 * fit.error:.2g} %"
             lines.append(Line(label, frequency, read(value)))
-        lines.append(Line(f"measured ({m.method})", m.frequency, read(m.value), "black", True))
+        lines.append(Line(f"measured ({m.method})", m.frequency, read(m.value), "black", "o"))
         plots.append(Plot(title, lines))
     plots.append(Plot("coherence", [Line("", m.frequency, m.coherence, "gray")]))
     draw_columns([Path(path)], {"": plots}, "frequency [Hz]", found.source, logarithmic_x=True)
