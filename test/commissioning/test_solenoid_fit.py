@@ -180,28 +180,6 @@ def test_what_a_law_was_told_of_an_earlier_friction_is_forgotten():
     )
 
 
-class Misbehaving(SupervisedValve):
-    """Whose parameters from before end each run."""
-
-    def drive(self, course, limits, elapsed):
-        if self.controller["controller"] == "arc":
-            raise Fault("a reading of 3 V is beyond the travel")
-        return super().drive(course, limits, elapsed)
-
-
-@pytest.mark.campaign
-def test_parameters_from_before_that_misbehave_are_no_rival(monkeypatch):
-    monkeypatch.setattr(gains, "contends", lambda *about: True)
-    valve = Misbehaving({"friction.coulomb": 0.6, "lvdt.noise": 0.004})
-    before = valve.values()
-    plan = Plan(LIMITS, "dcarc", 0.3, 40, 3, 8, 1, 2, alone=True)
-    found = sequence.Commissioning(valve, plan, before, Steps()).run()
-    assert found.verification.ended == "a reading of 3 V is beyond the travel"
-    assert found.verification.before is None
-    assert any("they are no rival" in note for note in found.notes)
-    assert valve.values() == {**before, **found.applied} and valve.active
-
-
 @pytest.mark.campaign
 @pytest.mark.parametrize("name", ["A", "B", "C"])
 def test_commissioned_dcarc_beats_the_best_pid_on_the_valve(name):

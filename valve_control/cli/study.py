@@ -141,7 +141,7 @@ def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
     varied = box.quantities(arguments.fix, chosen, task)
     for path in arguments.params_file:
         overridden = [q.name for q in varied if q.name in files.load(path)["valve_simulator"]]
-        if overridden and getattr(arguments, "bag", None) is None:  # a recording tells them
+        if overridden:
             names = ", ".join(overridden)
             tell_notes([f"{task} varies {names}, whatever {path} says; --fix NAME keeps one"])
     return varied
