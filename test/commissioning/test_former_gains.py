@@ -43,7 +43,7 @@ def judged(before, new, **changes):
     """A verification run of ``new`` parameters that follows its motion, beside those from ``before``."""
     own = plant.values(LATE, Rest(0.0, 0.0027, 0.0), PERIOD, LIMITS.voltage)
     valve = updated(VALVE, defaults(VALVE), own)
-    made = gains.TunedGains(SimpleNamespace(chatter=None), [], valve, new)
+    made = gains.TunedGains(SimpleNamespace(chatter=0.25), [], valve, new)
     record = Record(PERIOD, WANTED, WANTED, WANTED)
     values = updated(CONTROLLER, defaults(CONTROLLER), before)
     return gains.judged(PLAN, values, made, gains.VerifyingMotion(WANTED, 0), record, **changes)
@@ -107,7 +107,7 @@ def test_a_loud_run_is_tuned_again_with_a_lower_limit(monkeypatch, loud, errors,
         asked.append(plan.chatter)
         seen = SimpleNamespace(e_rms=np.array([[errors[len(asked) - 1]]]))
         good = SimpleNamespace(verified=SimpleNamespace(reasons=[], seen=seen))
-        return gains.TunedGains(SimpleNamespace(chatter=None, chosen=good, turn=len(asked)), [], {}, {})
+        return gains.TunedGains(SimpleNamespace(chatter=0.25, chosen=good, turn=len(asked)), [], {}, {})
 
     monkeypatch.setattr(gains, "tuned", tuned)
     monkeypatch.setattr(gains, "loudness", lambda *about: next(simulated))
@@ -126,7 +126,7 @@ def test_the_approach_of_a_verification_run_is_not_judged():
         VALVE, defaults(VALVE), plant.values(LATE, Rest(0.0, 0.0027, 0.0), PERIOD, LIMITS.voltage)
     )
     made = gains.TunedGains(
-        SimpleNamespace(chatter=None), [stroke, swing], valve, {"controller": "open_loop"}
+        SimpleNamespace(chatter=0.25), [stroke, swing], valve, {"controller": "open_loop"}
     )
     motion = gains.verifying_motion(made, PERIOD)
     rest, n = round(gains.HOME / PERIOD), motion.judged

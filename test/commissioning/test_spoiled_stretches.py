@@ -117,7 +117,7 @@ def test_a_motion_that_a_pause_spoils_is_repeated_behind_another_approach():
         TuningMotion(name, 0.4 * np.sin(2.0 * np.pi * turns / 1500.0 * np.arange(1500)))
         for name, turns in (("a", 2), ("b", 4))
     ]
-    tuned = gains.TunedGains(SimpleNamespace(chatter=None, law="oarc"), motions, {}, {})
+    tuned = gains.TunedGains(SimpleNamespace(chatter=0.25, law="oarc"), motions, {}, {})
     motion = gains.verifying_motion(tuned, 0.001)
     assert motion.stretches == (motion.judged, motion.judged + 1500 + 300)
     whole = len(motion.wanted) - motion.judged

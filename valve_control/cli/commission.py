@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from valve_control import interrupts, priority
 from valve_control.cli.common import (
     BUDGET,
+    CHATTER,
     SEED,
     THREADS,
     VALVES,
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from valve_control.nodes.commissioning_client import Controller
     from valve_control.parameter import Values
 
-CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
 OF_PLAN = ("budget", "valves", "unseen", "seed", "threads", "sensor_delay")  # options
 FAILED = 1  # exit status if the parameters are those from before
 KEPT = f"limit of c_u, kept if given ({CHATTER:g}, or more if none keep it)"

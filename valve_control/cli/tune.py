@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control.cli.common import (
     BUDGET,
+    CHATTER,
     THREADS,
     VALVES,
     Row,
@@ -74,8 +75,8 @@ def add_commands(commands: Any) -> None:
         "--controller", metavar="LAW,…", help="laws to tune, or all (default: that of the parameter files)"
     )
     group = tune.add_argument_group("objective")
-    text = "limit of the mean chatter; where no gains keep it, the quieter ones are taken"
-    numbers(group, ("max-chatter", within(1e-6, 1e3), None, "C_U", text))
+    text = "limit of the mean chatter (%(default)s); where no gains keep it, the quieter ones are taken"
+    numbers(group, ("max-chatter", within(1e-6, 1e3), CHATTER, "C_U", text))
     group.add_argument(
         "--preview", action="store_true", help="commands are known ahead (topic spool_trajectory)"
     )

@@ -229,7 +229,7 @@ def judged(
             f"the error is {1e3 * measured.e_rms:.3g} mV rms on the running valve, and "
             f"{1e3 * expected.e_rms:.3g} mV in simulation: the loop on the valve is not that of the model"
         )
-    most_chatter = WORSE * max(plan.chatter, candidate.tuned.chatter or 0.0, expected.c_u)
+    most_chatter = WORSE * max(plan.chatter, candidate.tuned.chatter, expected.c_u)
     if not measured.c_u <= most_chatter:
         reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
     quiet = former.c_u <= max(WORSE * plan.chatter, expected.c_u)

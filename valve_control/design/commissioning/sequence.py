@@ -315,10 +315,10 @@ class Commissioning:
 
         plan = self._plan
         usual = search(plan, TUNING)
+        limit = usual.tuned.chatter
         if usual.tuned.chosen.verified.reasons:
             return usual
         loud = gains.loudness(plan, self._before, usual)
-        limit = plan.chatter if usual.tuned.chatter is None else usual.tuned.chatter
         if not gains.LOUD * limit < loud < math.inf:
             return usual
         try:
@@ -513,7 +513,7 @@ def _notes(plan: Plan, tests: Tests, tuned: Tuned, pauses: Mapping[str, int]) ->
     if pauses:
         counts = ", ".join(f"{name} {count}" for name, count in pauses.items())
         yield f"readings, controller or host paused ({counts}): the stretches of tests were repeated"
-    if tuned.chatter is not None and tuned.chatter > plan.chatter:
+    if tuned.chatter > plan.chatter:
         least = min(point.chatter for point in tuned.front)
         yield (
             f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * tests.rest.noise:.2g} mV "

@@ -133,7 +133,7 @@ def budgets(task: Task, budget: int) -> list[int]:
 
 
 def search(
-    task: Task, chatter: float | None, budget: int, threads: int, progress: Callable[[int, str], None]
+    task: Task, chatter: float, budget: int, threads: int, progress: Callable[[int, str], None]
 ) -> tuple[dict[str, Tuned], dict[str, str]]:
     """Results of all laws of a ``task`` by their names, and for each law without gains a sentence.
 

@@ -43,13 +43,13 @@ def verified(
     law: Law,
     problem: Problem,
     gains: GainSet,
-    chatter: float | None,
+    chatter: float,
     threads: Threads = None,
     firm: Callable[[str], bool] = lambda limit: True,
 ) -> Verified:
     """Try ``gains`` on ``problem``, whose valves and seed are others than those of the search.
 
-    ``chatter``: the limit that was asked for, None: none. ``firm``: whether gains that miss the limit of this
+    ``chatter``: the limit that was asked for. ``firm``: whether gains that miss the limit of this
     name are not accepted; it is asked only where one is missed, and not for a margin.
     """
     wanted = limits.asked(problem.limits, chatter)
@@ -90,8 +90,7 @@ def verified(
         check(name, limits.BY_NAME[name].value(law, problem, gains, threads))
     for outcome, commands in ((seen, "the commands"), (unseen, "commands that were not seen")):
         check("saturation", float(np.mean(outcome.saturated)), before=f"on {commands} ")
-    if chatter is not None:
-        check("chatter", seen.chatter, SLACK)
+    check("chatter", seen.chatter, SLACK)
     (answers,) = checks.answers(law, problem, [gains], threads)
     overshot, settling = (checks.typical(rows) for rows in answers)
     check("overshoot", overshot)
