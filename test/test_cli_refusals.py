@@ -195,8 +195,6 @@ def test_the_limit_of_a_study_fits_the_motion(run, options, low, high):
     result = json.loads(out)
     assert low <= result["limit"] <= high
     assert result["unstable"] < 0.2
-    assert {row["limit"] for row in result["limits"]} >= {"gain margin", "not at rest", "overshoot"}
-    assert all(row["missed"] <= row["looked_at"] == 64 for row in result["limits"])
 
 
 SIMULATED = ("simulate", "compare", "identify", "study", "tune")
