@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Gains from before beside new ones, quieter gains beside loud ones, and what counts of a verification run."""
+"""Gains from before beside new ones, quieter gains beside loud ones, and what counts of a verifying run."""
 
 from types import SimpleNamespace
 

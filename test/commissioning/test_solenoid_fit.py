@@ -21,7 +21,7 @@ from valve_control.control.plant import valve
 from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
 from valve_control.design.commissioning import gains, model, plant, sequence
-from valve_control.design.commissioning.bench import Fault, Plan, SafetyLimits
+from valve_control.design.commissioning.bench import Plan, SafetyLimits
 from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.commissioning.plant import Magnet
 from valve_control.design.identification import first_gains
