@@ -26,7 +26,7 @@ from benchmarks.supervised import SupervisedValve
 from research import comparison, running
 from valve_control import outputs
 from valve_control.cli import common
-from valve_control.cli.commission import CHATTER
+from valve_control.cli.common import CHATTER
 from valve_control.control.compiling import sources_digest
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
