@@ -286,7 +286,7 @@ def main() -> int:
     options.add_argument(
         "--seed", type=int, action="append", metavar="N", help=f"valve {SEEDS}; again for more"
     )
-    options.add_argument("--solenoid", action="store_true", help="valves of benchmarks.solenoid, law alone")
+    options.add_argument("--solenoid", action="store_true", help="valves of benchmarks.solenoid")
     options.add_argument("--pauses", action="store_true", help="stop one of the processes now and then")
     options.add_argument("--controller", default="dcarc", help="law to tune (dcarc)")
     options.add_argument("--sample-period", type=float, default=0.001, metavar="S", help="(0.001)")
@@ -301,7 +301,7 @@ def main() -> int:
     os.environ.setdefault(RANGE, "LOCALHOST")
     use_own_profile(os.environ)
     wanted = ["--controller", arguments.controller, "--budget", str(arguments.budget)]
-    wanted += ["--max-voltage", str(arguments.max_voltage), *(["--alone"] if arguments.solenoid else [])]
+    wanted += ["--max-voltage", str(arguments.max_voltage)]
     rows: list[dict[str, Any]] = []
     print(HEAD, flush=True)
     for seed in arguments.seed or (SOLENOIDS if arguments.solenoid else SEEDS):

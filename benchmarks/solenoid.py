@@ -26,7 +26,7 @@ from benchmarks.supervised import SupervisedValve
 from research import comparison, running
 from valve_control import outputs
 from valve_control.cli import common
-from valve_control.cli.commission import CHATTER
+from valve_control.cli.common import CHATTER
 from valve_control.control.compiling import sources_digest
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
@@ -292,16 +292,15 @@ class _Steps:
 def commissioned(
     values: Values, law: str, options: Options, tests: sequence.Tests | None = None
 ) -> tuple[dict[str, Any], sequence.Tests | None]:
-    """What commissioning of ``law`` alone leaves on the valve with ``values``, and what that does there.
+    """What commissioning of ``law`` leaves on the valve with ``values``, and what that does there.
 
     ``tests`` of the valve that another law has made are not made again; they are returned.
     """
     fastest = max(500.0, 2.0 * math.pi * number(values, "solenoid.natural_frequency") * SWING)
     bench = SupervisedValve(values, {**BEFORE, "lvdt.max_rate": fastest})
     plan = Plan(
-        LIMITS, law, CHATTER, options.budget, VALVES_SIMULATED, VALVES_UNSEEN, seed=1, threads=1, firm=False,
-        alone=True,
-    )  # fmt: skip
+        LIMITS, law, CHATTER, options.budget, VALVES_SIMULATED, VALVES_UNSEEN, seed=1, threads=1, firm=False
+    )
     before, steps = bench.values(), _Steps()
     check(plan, before)
     began = time.process_time()

@@ -75,7 +75,6 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
             ["--command-jitter is 0.02 s"],
         ),
         (["study", "--threads", "10000"], ["--threads: 10000 is no whole number from 1 to"]),
-        (["tune", "--controller", "pid", "--from", "1", "--json", "-"], ["--from", "--bag"]),
         (["tune", "--controller", "pid", "--set", "pid.kp=3"], ["the search chooses"]),
         (["simulate", "--scenario", "sine", "--set", "frequency=500.0"], ["500 Hz", "Nyquist"]),
         (["study", "--scenario", "sweep", "--set", "end_frequency=300.0"], ["300 Hz", "Nyquist"]),
@@ -195,8 +194,6 @@ def test_the_limit_of_a_study_fits_the_motion(run, options, low, high):
     result = json.loads(out)
     assert low <= result["limit"] <= high
     assert result["unstable"] < 0.2
-    assert {row["limit"] for row in result["limits"]} >= {"gain margin", "not at rest", "overshoot"}
-    assert all(row["missed"] <= row["looked_at"] == 64 for row in result["limits"])
 
 
 SIMULATED = ("simulate", "compare", "identify", "study", "tune")

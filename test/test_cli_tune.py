@@ -26,7 +26,7 @@ def limits(*options):
 
 def test_what_has_to_hold_is_what_commission_asks_for_too():
     """But for the overshoot, which commission leaves open, as its reference has the paper's form."""
-    assert limits().overshoot == trial.OVERSHOOT and limits()._replace(overshoot=math.inf) == trial.USUAL
+    assert limits().overshoot == 0.05 and limits()._replace(overshoot=math.inf) == trial.USUAL
     off = limits(*(f"--{name}=none" for name, *_ in tune.LIMITS.values()))
     assert off == trial.TuningLimits(0.0, 0.0, 0.0, math.inf, math.inf, math.inf, 0.0, math.inf)
     zero = limits("--saturation", "0", "--overshoot", "0")

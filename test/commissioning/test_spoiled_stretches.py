@@ -16,7 +16,7 @@ from valve_control.design.tuning.trial import TuningMotion
 from valve_control.parameter import ParameterError
 
 LIMITS = SafetyLimits(3.0, 1.5)
-PLAN = Plan(LIMITS, "pid", 0.3, 40, 3, 8, 1, 1, alone=True)
+PLAN = Plan(LIMITS, "pid", 0.3, 40, 3, 8, 1, 1)
 OF_VALVE = {"friction.coulomb": 0.6, "disturbance.offset": 0.2, "lvdt.noise": 0.004, "lvdt.delay": 0.0012}
 BEFORE = {"controller": "oarc", "u_max": 9.0, "oarc.k1": 77.0, "command_limit": 8.0}
 STOOD = 60  # samples
@@ -117,7 +117,7 @@ def test_a_motion_that_a_pause_spoils_is_repeated_behind_another_approach():
         TuningMotion(name, 0.4 * np.sin(2.0 * np.pi * turns / 1500.0 * np.arange(1500)))
         for name, turns in (("a", 2), ("b", 4))
     ]
-    tuned = gains.TunedGains(SimpleNamespace(chatter=None, law="oarc"), motions, {}, {})
+    tuned = gains.TunedGains(SimpleNamespace(chatter=0.25, law="oarc"), motions, {}, {})
     motion = gains.verifying_motion(tuned, 0.001)
     assert motion.stretches == (motion.judged, motion.judged + 1500 + 300)
     whole = len(motion.wanted) - motion.judged
@@ -127,7 +127,7 @@ def test_a_motion_that_a_pause_spoils_is_repeated_behind_another_approach():
         valve.apply({"u_max": LIMITS.voltage})
         run = sequence.Commissioning(valve, PLAN, valve.values(), Steps())
         run._at_rest(1.0)
-        record = run._moved("verification", motion)
+        record = run._moved(motion)
         assert record.begins == begins and valve.paused == 1
         assert len(record.reading) == pytest.approx(whole, abs=2)
         assert np.array_equal(record.command[:whole], motion.wanted[motion.judged :])
@@ -149,7 +149,7 @@ def test_a_verification_run_of_late_messages_is_repeated_and_ends_with_the_reaso
     monkeypatch.setattr(valve, "drive", late)
     motion = gains.VerifyingMotion(np.zeros(500), 100, (100,))
     with pytest.raises(Fault, match=r"late messages reach .*, 3 times: .*chrt -f 10"):
-        run._moved("verification", motion)
+        run._moved(motion)
     assert run._pauses == {"verification": 3}
 
 

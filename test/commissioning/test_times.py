@@ -8,17 +8,12 @@ import numpy as np
 import pytest
 
 from valve_control.control.analysis import timing
-from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.commissioning import plant
-from valve_control.design.commissioning import recorded as learning
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.evaluation import Friction, Rest
-from valve_control.design.identification import dead_time, recorded
-from valve_control.design.identification.experiment import Experiment
+from valve_control.design.identification import dead_time
 from valve_control.nodes.commissioning_client import _paired
-from valve_control.parameter import defaults, updated
-from valve_control.recordings.recording import Aligned
 
 PERIOD, FINE = 0.001, 40  # s, steps of the true valve in a period
 MODEL = TransferFunction((40000.0,), (1.0, 240.0, 40000.0))
@@ -78,38 +73,6 @@ def test_late_readings_are_left_out_and_the_way_is_told():
     (note,) = dead_time.way_notes(timing.spread(record.latency))
     assert "voltages were sent 0.59 ms after their readings (median; 99 %: 0.89 ms)" in note
     assert dead_time.way_notes(timing.spread(np.empty(0))) == []
-
-
-def test_a_recording_is_fitted_with_its_times():
-    """The dead time of the way stays out of the valve's; a simulated valve waits for its voltage."""
-    readings, voltages = over_topics()
-    stamp, position = (np.array([one[i] for one in readings]) for i in (1, 2))
-    sent, meant = (np.array([one[i] for one in voltages]) for i in (1, 2))
-    time, n = (stamp - stamp[0]) * 1e-9, len(stamp)
-    aligned = Aligned(
-        time, stamp, PERIOD, meant, position, meant, (sent - stamp) * 1e-9, np.ones(n, dtype=bool), True
-    )
-    signals = {"valve_voltage": SimpleNamespace(time=sent, value=meant)}
-    about = np.arange(n), time, PERIOD
-    assert recorded._times(aligned, SimpleNamespace(simulator="one", signals=signals), *about) is None
-    times = recorded._times(aligned, SimpleNamespace(simulator=None, signals=signals), *about)
-    known = updated(
-        VALVE,
-        defaults(VALVE),
-        {
-            "valve": "custom",
-            "numerator": [40000.0],
-            "denominator": [1.0, 240.0, 40000.0],
-            "lvdt.delay": 0.001,
-        },
-    )
-    test = Experiment("test", PERIOD, meant, position, (), 10.0, ())
-    found, without = (
-        learning.learnt(test._replace(times=one), known, ["friction.coulomb"]) for one in (times, None)
-    )
-    assert found.values["lvdt.delay"] == pytest.approx(0.0004, abs=1e-4)
-    assert without.values["lvdt.delay"] > 0.0008
-    assert any("0.59 ms after their readings" in note for note in found.notes) and not without.notes
 
 
 def test_late_readings_at_both_ends_leave_no_stretch_without_a_length():

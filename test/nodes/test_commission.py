@@ -174,7 +174,7 @@ STEPS = {
     "stepped sine": (" s of sines of", 18.0, SEARCH),
     "model": ("model …", 0.6, SEARCH),
     "tuning": (" sets of gains of", 4.0, SEARCH),
-    "verification": ("the valve moves for", 2.0, ["--controller", "dcarc", "--alone", *QUICK]),
+    "verification": ("the valve moves for", 2.0, ["--controller", "dcarc", *QUICK]),
 }
 FIRST = 0.8  # s  of each step at least, but of the model's; until then the controller has its limits
 HOWS = ["SIGINT", "SIGTERM", "silent", "not_finite", "second_publisher", "no simulator"]
@@ -329,7 +329,7 @@ def test_to_its_end_and_undone_while_its_processes_pause(ros, tmp_path):
     with running(ros, tmp_path, "-p", "lvdt.hold_samples:=4") as seen:
         before = seen.parameters()
         with (
-            commission(tmp_path, "--controller", "dcarc", "--alone", *QUICK) as child,
+            commission(tmp_path, "--controller", "dcarc", *QUICK) as child,
             commissioned.pausing([*seen.processes, child], 44) as stood,
         ):
             status = ended(seen, child, 400.0)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from valve_control import interrupts, priority
 from valve_control.cli.common import (
     BUDGET,
+    CHATTER,
     SEED,
     THREADS,
     VALVES,
@@ -34,8 +35,7 @@ if TYPE_CHECKING:
     from valve_control.nodes.commissioning_client import Controller
     from valve_control.parameter import Values
 
-CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
-OF_PLAN = ("budget", "valves", "unseen", "seed", "threads", "sensor_delay", "alone")  # options
+OF_PLAN = ("budget", "valves", "unseen", "seed", "threads", "sensor_delay")  # options
 FAILED = 1  # exit status if the parameters are those from before
 KEPT = f"limit of c_u, kept if given ({CHATTER:g}, or more if none keep it)"
 
@@ -70,8 +70,6 @@ def add_commands(commands: Any) -> None:
         SEED,
         (*THREADS[:2], priority.spare_cores(), "N", "number of threads (all cores but one)"),
     )
-    text = "tune this law only, and no PID that could have a smaller error"
-    group.add_argument("--alone", action="store_true", help=text)
     group = commission.add_argument_group("course of the commissioning")
     group.add_argument("--yes", action="store_true", help="do not ask before each step")
     group.add_argument(

@@ -89,6 +89,7 @@ def numbers(group: Any, *rows: Row) -> None:
 
 
 SEED: Row = ("seed", within(0, MOST_SEED), 1, "N", "seed of the search (%(default)s)")
+CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
 VALVES, BUDGET = within(1, MOST_VALVES), within(1, 10**12)  # of a search
 THREADS: Row = (
     "threads", within(1, MOST_THREADS), CORES, "N", "number of threads (all cores; up to four for each)"

@@ -73,7 +73,6 @@ def add_commands(commands: Any) -> None:
 
 def _study(arguments: argparse.Namespace) -> int:
     from valve_control.control.simulation import robustness
-    from valve_control.design.tuning import verification
 
     _check(arguments)
     chosen = _chosen(arguments)
@@ -110,7 +109,6 @@ def _study(arguments: argparse.Namespace) -> int:
         "folder": str(folder),
         "controller": chosen.settings["controller"]["controller"],
         **robustness.summary(found, limit),
-        "limits": verification.of_study(chosen, found, arguments.threads),
     }
     if arguments.json != "-":
         _print(result)
@@ -141,7 +139,7 @@ def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
     varied = box.quantities(arguments.fix, chosen, task)
     for path in arguments.params_file:
         overridden = [q.name for q in varied if q.name in files.load(path)["valve_simulator"]]
-        if overridden and getattr(arguments, "bag", None) is None:  # a recording tells them
+        if overridden:
             names = ", ".join(overridden)
             tell_notes([f"{task} varies {names}, whatever {path} says; --fix NAME keeps one"])
     return varied
@@ -178,8 +176,6 @@ def _chosen(arguments: argparse.Namespace) -> "Study":
 
 
 def _print(result: dict[str, Any]) -> None:
-    from valve_control.design.tuning import limits
-
     percents = list(next(iter(result["percentiles"].values()), {}))
     print(f"{'percentile':16}" + "".join(f"{p:>9}" for p in percents))
     for name, row in result["percentiles"].items():
@@ -193,8 +189,6 @@ def _print(result: dict[str, Any]) -> None:
         f"{result['valves']} valves ({', '.join(shares)})"
     )
     print(f"worst by e_rms (--replay N): {', '.join(map(str, result['worst']['e_rms']))}")
-    if result["limits"]:
-        print("\n".join(limits.as_text(result["limits"], "valves")))
 
 
 def _draw(path: Path, found: "StudyResult", title: str) -> None:

@@ -12,22 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 from valve_control.cli.common import (
     BUDGET,
+    CHATTER,
     THREADS,
     VALVES,
-    WITH_BAG,
     Row,
-    bag_options,
     check_outputs,
     deliver,
-    load,
     numbers,
     output_group,
     progress,
     refuse,
     repeated,
-    say,
     tell_notes,
-    valve_of,
     within,
     write_json,
 )
@@ -35,17 +31,14 @@ from valve_control.cli.simulate import delivery_of, delivery_options, settings_o
 from valve_control.cli.study import FIX, box_of
 from valve_control.control.commands import arrays
 from valve_control.control.parameters import build, files, ros_file
-from valve_control.control.parameters.table import VALVE
-from valve_control.parameter import Values, defaults, word
+from valve_control.parameter import Values, word
 
 if TYPE_CHECKING:
-    from valve_control.design.commissioning.recorded import RecordedRun
     from valve_control.design.tuning.request import Task
     from valve_control.design.tuning.trial import TuningLimits, TuningMotion
     from valve_control.design.tuning.tuner import Tuned
 
 DELIVERY = ("command_period", "command_jitter", "command_drift")
-OF_BAG = ("command", "scenario", "valve", "sample_period", "duration", *DELIVERY)  # that a bag has itself
 FAILED = 1  # exit status if gains of a law are not accepted
 
 
@@ -81,17 +74,9 @@ def add_commands(commands: Any) -> None:
     tune.add_argument(
         "--controller", metavar="LAW,…", help="laws to tune, or all (default: that of the parameter files)"
     )
-    group = tune.add_argument_group("from a recording of normal operation")
-    group.add_argument(
-        "--bag",
-        metavar="BAG",
-        help="tune for the recorded valve, controller and command; --params-file has the known data of "
-        "the valve, and quantities that the recording does not determine keep their values",
-    )
-    bag_options(group)
     group = tune.add_argument_group("objective")
-    text = "limit of the mean chatter; where no gains keep it, the quieter ones are taken"
-    numbers(group, ("max-chatter", within(1e-6, 1e3), None, "C_U", text))
+    text = "limit of the mean chatter (%(default)s); where no gains keep it, the quieter ones are taken"
+    numbers(group, ("max-chatter", within(1e-6, 1e3), CHATTER, "C_U", text))
     group.add_argument(
         "--preview", action="store_true", help="commands are known ahead (topic spool_trajectory)"
     )
@@ -112,14 +97,11 @@ def add_commands(commands: Any) -> None:
 
 
 def _tune(arguments: argparse.Namespace) -> int:
-    from valve_control.design.commissioning import recorded
     from valve_control.design.tuning import request, tuner
 
-    bag = arguments.bag is not None
-    refuse(arguments, OF_BAG if bag else WITH_BAG, "tune --bag" if bag else "tune without --bag")
     if arguments.preview:
         refuse(arguments, DELIVERY, "tune --preview")
-    task, run = _task(arguments)
+    task = _task(arguments)
     paths = _paths(arguments.output, [law.name for law in task.laws])
     check_outputs(arguments, *(set(paths.values()) - {arguments.output}))
     tell_notes(task.notes)
@@ -136,8 +118,6 @@ def _tune(arguments: argparse.Namespace) -> int:
     written = {name: paths[name] for name in holding if paths}
     laws = {name: {**tuner.as_dict(one), "file": written.get(name)} for name, one in tuned.items()}
     result = {"laws": laws, **({"missing": missing} if missing else {})}
-    if run is not None:
-        result["recording"] = recorded.as_dict(run.fitted)
     for text in missing.values():
         print(text, file=sys.stderr)
     for name, one in tuned.items():
@@ -147,7 +127,7 @@ def _tune(arguments: argparse.Namespace) -> int:
     if tuned and arguments.json != "-":
         _print(tuned)
     for name, one in holding.items():
-        text = _yaml(arguments, task.seen.values, one, run.fitted.values if run is not None else {})
+        text = _yaml(arguments, task.seen.values, one)
         if name in written:
             deliver(arguments, written[name], text)
         elif arguments.json is None:
@@ -165,33 +145,28 @@ def limits_of(arguments: argparse.Namespace) -> "TuningLimits":
     )
 
 
-def _task(arguments: argparse.Namespace) -> "tuple[Task, RecordedRun | None]":
-    """What the options ask for, and the recording to tune on. Raises ParameterError and BagError."""
+def _task(arguments: argparse.Namespace) -> "Task":
+    """What the options ask for. Raises ParameterError."""
     from valve_control.design.tuning import request
 
     settings = settings_of(argparse.Namespace(**{**vars(arguments), "controller": None, "command": None}))
-    chosen = files.given(arguments.params_file, {}, arguments.set, recorded=True)["controller"]
-    run = None
-    if arguments.bag is not None:
-        run = _recorded(arguments, settings, chosen)
-        settings = dict(run.settings)
+    valve = {"valve_simulator": {"valve": arguments.valve}}
+    chosen = files.given(arguments.params_file, valve, arguments.set)["controller"]
     laws = request.laws_of(arguments.controller or word(settings["controller"], "controller"))
     request.check_free([text.partition("=")[0].strip() for text in arguments.set], laws)
-    task = request.task_of(
+    return request.task_of(
         laws=laws,
         settings=settings,
         chosen=chosen,
-        quantities=box_of(arguments) if run is None else run.box,
+        quantities=box_of(arguments),
         valves=arguments.valves,
         unseen=arguments.unseen,
         seed=arguments.seed,
-        recorded=run is not None,
-        motions=_motions(arguments, settings) if run is None else [run.motion],
+        motions=_motions(arguments, settings),
         limits=limits_of(arguments),
         preview=arguments.preview,
         delivery=None if arguments.preview else delivery_of(arguments, settings["controller"]),
     )
-    return task, run
 
 
 def _motions(arguments: argparse.Namespace, settings: Mapping[str, Values]) -> list["TuningMotion"]:
@@ -204,20 +179,6 @@ def _motions(arguments: argparse.Namespace, settings: Mapping[str, Values]) -> l
     return [request.motion_of(Path(file).name, arrays.read(file), settings) for file in arguments.command]
 
 
-def _recorded(arguments: argparse.Namespace, settings: Mapping[str, Values], chosen: Values) -> "RecordedRun":
-    """The recording, and what it says of its valve, printed too. Raises ParameterError and BagError."""
-    from valve_control.design.commissioning import recorded
-
-    loaded = load(arguments, arguments.bag)
-    valve = valve_of(arguments, arguments.bag, loaded.valves)
-    name = Path(arguments.bag).name
-    run = recorded.run(name, loaded, valve, settings, box_of(arguments), arguments.fix, chosen)
-    for one in run.fitted.learnt:
-        say(arguments, one.sentence)
-    tell_notes(run.notes)
-    return run
-
-
 def _paths(output: str | None, laws: Sequence[str]) -> dict[str, str]:
     """Parameter file of each of the ``laws``."""
     path = Path(output or "none")
@@ -225,8 +186,7 @@ def _paths(output: str | None, laws: Sequence[str]) -> dict[str, str]:
     return {} if output is None else several if len(laws) > 1 else {laws[0]: output}
 
 
-def _yaml(arguments: argparse.Namespace, values: Values, one: "Tuned", valve: Values) -> str:
-    """The gains, and what differs from the defaults in the fitted ``valve``; {}: none is fitted."""
+def _yaml(arguments: argparse.Namespace, values: Values, one: "Tuned") -> str:
     from valve_control.design.tuning import tuner, verification
 
     reached = verification.as_dict(one.chosen.verified)
@@ -236,11 +196,7 @@ def _yaml(arguments: argparse.Namespace, values: Values, one: "Tuned", valve: Va
         f"{reached['e_rms']['median']:.4g} V (median), {reached['e_rms']['p95']:.4g} V (95 %), "
         f"c_u {reached['c_u']:.3f}.",
     ]
-    chosen = tuner.parameters_of(one.law, values, one.chosen)
-    usual = defaults(VALVE)
-    others = {name: value for name, value in valve.items() if value != usual[name]}
-    sections = {"/**/controller": chosen, **({"/**/valve_simulator": others} if others else {})}
-    return ros_file.as_yaml(sections, about)
+    return ros_file.as_yaml({"/**/controller": tuner.parameters_of(one.law, values, one.chosen)}, about)
 
 
 def _print(found: "Mapping[str, Tuned]") -> None:

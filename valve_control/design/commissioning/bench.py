@@ -62,7 +62,6 @@ class Plan(NamedTuple):
     threads: int
     firm: bool = True  # False: where no gains keep the limit of c_u, the quieter ones are taken
     sensor_delay: float = 0.0  # s  what of the dead time is the sensor's
-    alone: bool = False  # no PID is tuned beside the law
     gives_way: bool = False  # whether searches run only while no other wants the core
 
 

@@ -65,10 +65,6 @@ def _verdict(found: Result) -> str:
             f"With the parameters from before ({found.before['controller']}) the simulation of this valve "
             f"gives {reached(run.former)} on the same commands."
         )
-    if run.before is not None:
-        sentences.append(
-            f"On the running valve these parameters gave {reached(run.before)} in the same motion."
-        )
     sentences.append(
         f"No voltage was beyond ±{within.voltage:g} V, and in tests and verification no three readings in a "
         f"row were beyond ±{within.travel:g} V."

@@ -28,14 +28,13 @@ from valve_control.parameter import Values, defaults, number, updated
 
 WORSE = 1.5  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
-CONTENDS = 1.5  # times the error of the new gains, up to which others are tried on the valve too
+CONTENDS = 1.5  # times the error of the gains of a search, up to which quieter ones are their rivals
 LOUD = 1.1  # c_u of the simulated verification run over its limit, above which a quieter search follows
 TOO_LOUD = 1.3  # likewise, above which quieter gains are taken whatever their error
 HOME = 1.0  # s  before the approach of a verification run
 PAUSE = 0.3  # s  after each motion of the verification run
 REST = 0.7  # s  more at its end, in which a loop that swings at rest shows it
 RECOVERY = 0.2  # s  after a late voltage or command, in which a run shows the machine and not the gains
-LEAST_COMMON = 0.1  # share of two runs that has to be steady in both, if they are to be compared
 SATURATED = 0.5  # share of samples at the limit of the voltage, from which on a simulated loop is unstable
 
 
@@ -73,8 +72,6 @@ class Verification(NamedTuple):
     expected: Indices  # with the new gains
     former: Indices | None  # with the parameters from before, None if those are unstable
     reasons: list[str]  # why the gains are not accepted
-    before: Indices | None = None  # measured with the parameters from before, None if they were not tried
-    ended: str = ""  # why the run with these ended early
 
 
 class Task(NamedTuple):
@@ -211,11 +208,17 @@ def _limited(plan: Plan, before: Values, changes: Values) -> Values:
 
 
 def judged(
-    plan: Plan, before: Values, candidate: TunedGains, motion: VerifyingMotion, record: Record
+    plan: Plan,
+    before: Values,
+    candidate: TunedGains,
+    motion: VerifyingMotion,
+    record: Record,
+    doubted: bool = False,
 ) -> Verification:
     """Judge the ``record`` of a verification run, its judged part, by the simulation of its ``motion``.
 
-    Samples that are not ``steady`` count in neither. Raises ParameterError.
+    Samples that are not ``steady`` count in neither. ``doubted``: the simulation is not believed where it
+    says that the parameters from before are better. Raises ParameterError.
     """
     measured, kept = _indices(record), steady(record)
     expected, _ = _simulated(_limited(plan, before, candidate.changes), candidate.valve, motion, kept)
@@ -226,9 +229,15 @@ def judged(
             f"the error is {1e3 * measured.e_rms:.3g} mV rms on the running valve, and "
             f"{1e3 * expected.e_rms:.3g} mV in simulation: the loop on the valve is not that of the model"
         )
-    most_chatter = WORSE * max(plan.chatter, candidate.tuned.chatter or 0.0, expected.c_u)
+    most_chatter = WORSE * max(plan.chatter, candidate.tuned.chatter, expected.c_u)
     if not measured.c_u <= most_chatter:
         reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
+    quiet = former.c_u <= max(WORSE * plan.chatter, expected.c_u)
+    if bounded and not doubted and quiet and former.e_rms < expected.e_rms:
+        reasons.append(
+            f"in simulation the parameters from before do better, {1e3 * former.e_rms:.3g} mV rms instead of "
+            f"{1e3 * expected.e_rms:.3g} mV"
+        )
     return Verification(record, measured, expected, former if bounded else None, reasons)
 
 
@@ -260,78 +269,10 @@ def steady(record: Record) -> npt.NDArray[np.bool_]:
     return ~disturbed
 
 
-def contends(plan: Plan, verified: Verification, doubted: bool = False) -> bool:
-    """Whether the parameters from before may be as good as the new gains, as far as simulation knows.
-
-    ``doubted``: it is not believed, unless it says that they are unstable.
-    """
-    former = verified.former
-    if former is None:
-        return False
-    near = former.e_rms < CONTENDS * verified.measured.e_rms and former.c_u <= _quiet(plan, verified)
-    return doubted or near
-
-
-def _quiet(plan: Plan, verified: Verification) -> float:
-    """c_u up to which parameters from before may be better than the new gains, which may be louder."""
-    return max(WORSE * plan.chatter, verified.measured.c_u)
-
-
-def promised(candidate: TunedGains) -> tuple[bool, float]:
-    """Order of gains of several laws: those that hold first, then by their error on valves not seen."""
-    verified = candidate.tuned.chosen.verified
-    return bool(verified.reasons), trial.typical(verified.seen.e_rms)
-
-
 def rivals(candidate: TunedGains, best: TunedGains) -> bool:
-    """Whether ``candidate`` promises about as little error as the ``best``."""
-    return promised(candidate)[1] < CONTENDS * promised(best)[1]
-
-
-def quieter(
-    usual: TunedGains, loud: float, tried: Sequence[tuple[float, TunedGains]], too_loud: float
-) -> TunedGains:
-    """The best of the ``usual`` gains, with c_u ``loud``, and of quieter gains with their c_u.
-
-    Up to ``too_loud`` only rivals of the ``usual`` ones are better, beyond that whatever is within it.
-    """
-    within = [again for quiet, again in tried if quiet <= too_loud < loud]
-    rival = [(quiet, again) for quiet, again in tried if rivals(again, usual)]
-    if within:
-        return min(within, key=promised)
-    return min(rival, key=lambda one: one[0])[1] if rival else usual
-
-
-def beside(several: Sequence[TunedGains]) -> list[str]:
-    """A sentence about laws that were tuned beside each other, the better first."""
-    if len(several) < 2:
-        return []
-    errors = []
-    for tuned in (candidate.tuned for candidate in several):
-        verified = tuned.chosen.verified
-        error = f"{1e3 * trial.typical(verified.seen.e_rms):.3g} mV with c_u {verified.seen.chatter:.3f}"
-        errors.append(f"{tuned.law} {error}{', not accepted' if verified.reasons else ''}")
-    return [f"in simulation, on valves that the searches did not see: {', '.join(errors)}"]
-
-
-def against(plan: Plan, verified: Verification, record: Record) -> Verification:
-    """Judge ``verified`` by the ``record`` of the same run with the parameters from before.
-
-    Both by the samples that are steady in both; without any, the new gains stay.
-    """
-    both = verified.record, record
-    length = min(len(one.reading) for one in both)
-    common = np.logical_and(*(steady(one)[:length] for one in both))
-    if np.mean(common) < LEAST_COMMON:
-        return verified
-    measured, before = (_indices(one, np.pad(common, (0, len(one.reading) - length))) for one in both)
-    reasons = list(verified.reasons)
-    if before.e_rms < measured.e_rms and before.c_u <= _quiet(plan, verified):
-        reasons.append(
-            f"on the running valve the parameters from before do better, {1e3 * before.e_rms:.3g} mV rms "
-            f"instead of {1e3 * measured.e_rms:.3g} mV"
-        )
-    return verified._replace(before=before, reasons=reasons)
+    """Whether ``candidate`` has about as little error as the ``best`` on valves that were not seen."""
+    error, least = (trial.typical(one.tuned.chosen.verified.seen.e_rms) for one in (candidate, best))
+    return error < CONTENDS * least
 
 
 def latest(motion: VerifyingMotion, record: Record) -> float:

@@ -42,15 +42,10 @@ AGAIN = 3  # times that a stretch which a pause has spoiled is repeated
 MOST_LATE = 0.7  # share of a stretch of a verification run that late messages may reach
 RESTS = 10  # times that a rest is tried, which is no test
 APART = 1.0  # s  between two reports of a pause, below which they are about the same one
-# Of both verification runs: limits, and that each command counts as it comes.
-SAME = (
-    "u_max", "lvdt.limit", "command_limit", "command_timeout", "command.bridge", "command.lag",
-)  # fmt: skip
-PID = "pid"  # that is tuned beside another law
-QUIETER = ((1.0, "again"), (0.5, "once more"))  # power of what is too loud, by which the limit is lowered
 SIMULATIONS = 600.0  # about, of the step "model"
 REST, SLOW, SINE = "noise at rest", "slow triangle", "stepped sine"  # the tests
 SEARCH, LAST = "search", "new gains"  # steps without a course, in which pauses are counted
+TUNING, VERIFICATION = "tuning", "verification"  # steps: the first search, the run with its gains
 Courses = Callable[[int, Mark], Course]  # the rest of a step from a stretch on, from rest
 Records = Mapping[str, Record]  # by the name of the test
 T = TypeVar("T")
@@ -203,7 +198,7 @@ class Commissioning:
             *refusals,
             *dead_time.way_notes(way),
             *gains.about_late(verified.record),
-            *_notes(self._plan, tests, chosen.tuned, verified.ended, self._pauses),
+            *_notes(self._plan, tests, chosen.tuned, self._pauses),
         ]
         return Result(
             plan=self._plan,
@@ -275,58 +270,40 @@ class Commissioning:
         refusals: list[str] = []
         doubted = tests.plant.error > plant.EXPLAINED
         for wider in (boxes := DOUBTED if doubted else BOXES):
-            several, missing = self._tuned(tests, known, wider, refusals)
-            earlier, last = len(refusals), wider == boxes[-1]
-            for candidate in several:
-                if len(refusals) > earlier and not last and not gains.rivals(candidate, several[0]):
-                    break  # the law deserves its second search first
-                reasons = candidate.tuned.chosen.verified.reasons
-                if reasons:
-                    reasons = [*reasons, *limits.binding(candidate.tuned.limits, "sets of gains")]
-                else:
-                    verified, reasons = self._verified(candidate, doubted)
-                    if verified is not None and not reasons:
-                        notes = [f"gains were not accepted: {refusal}" for refusal in refusals]
-                        notes += [candidate.note] if candidate.note else []
-                        return candidate, verified, [*missing, *notes, *gains.beside(several)]
-                    self._bench.off()
-                    if not last or candidate is not several[-1]:
-                        self._open_loop()
-                reason = "; ".join(reasons)
-                self._steps.refused(candidate.changes, reason)
-                refusals.append(f"{candidate.tuned.law} for a box {wider:g} times as wide: {reason}")
+            candidate = self._tuned(tests, known, wider, refusals)
+            reasons = candidate.tuned.chosen.verified.reasons
+            if reasons:
+                reasons = [*reasons, *limits.binding(candidate.tuned.limits, "sets of gains")]
+            else:
+                verified, reasons = self._verified(candidate, doubted)
+                if verified is not None and not reasons:
+                    notes = [f"gains were not accepted: {refusal}" for refusal in refusals]
+                    return candidate, verified, notes + ([candidate.note] if candidate.note else [])
+                self._bench.off()
+                if wider != boxes[-1]:
+                    self._open_loop()
+            reason = "; ".join(reasons)
+            self._steps.refused(candidate.changes, reason)
+            refusals.append(f"{candidate.tuned.law} for a box {wider:g} times as wide: {reason}")
         raise ParameterError(f"the gains are not accepted: {'; '.join(refusals)}")
 
-    def _tuned(
-        self, tests: Tests, known: model.Known, wider: float, refusals: list[str]
-    ) -> tuple[list[TunedGains], list[str]]:
-        """Gains of the law and of a PID beside it, the better first, and a sentence about each that failed.
-
-        Raises ParameterError, where both failed.
-        """
+    def _tuned(self, tests: Tests, known: model.Known, wider: float, refusals: list[str]) -> TunedGains:
+        """Gains of the law after these ``refusals``. Raises ParameterError."""
         text = f"{self._plan.budget} sets of gains of {self._plan.law} are tried in simulation"
         if refusals:
             text = f"gains are not accepted ({refusals[-1]}); {text}, for a box {wider:g} times as wide"
         self._ask(f"{text}; the valve stays at 0 V")
-        several: list[TunedGains] = []
-        failed: dict[str, ParameterError] = {}
-        for law in dict.fromkeys((self._plan.law, *([] if self._plan.alone else [PID]))):
-            with self._timed("tuning"):
-                try:
-                    several.append(self._searched(law, tests, known, wider))
-                except ParameterError as error:
-                    failed[law] = error
-        if not several:
-            first = failed[self._plan.law]
-            if not refusals:
-                raise first
-            raise ParameterError(f"the gains are not accepted: {'; '.join(refusals)}; {first}") from first
-        missing = [f"{law} has no gains: {error}" for law, error in failed.items()]
-        return sorted(several, key=gains.promised), missing
+        with self._timed(TUNING):
+            try:
+                return self._searched(tests, known, wider)
+            except ParameterError as error:
+                if not refusals:
+                    raise
+                text = f"the gains are not accepted: {'; '.join(refusals)}; {error}"
+                raise ParameterError(text) from error
 
-    def _searched(self, law: str, tests: Tests, known: model.Known, wider: float) -> TunedGains:
-        """Gains of ``law``, of a quieter search if those of the first are loud. Raises ParameterError."""
-        step = "tuning" if law == self._plan.law else f"tuning {law}"
+    def _searched(self, tests: Tests, known: model.Known, wider: float) -> TunedGains:
+        """Gains, of a quieter search if those of the first are loud. Raises ParameterError."""
 
         def search(plan: Plan, step: str) -> TunedGains:
             def tell(done: float, total: float) -> None:
@@ -336,39 +313,31 @@ class Commissioning:
             about = self._before, tests.plant, known, tests.rest, wider
             return self._background(lambda tell: gains.tuned(plan, *about, tell), tell)
 
-        plan = self._plan._replace(law=law)
-        usual = search(plan, step)
+        plan = self._plan
+        usual = search(plan, TUNING)
+        limit = usual.tuned.chatter
         if usual.tuned.chosen.verified.reasons:
             return usual
         loud = gains.loudness(plan, self._before, usual)
-        limit = plan.chatter if usual.tuned.chatter is None else usual.tuned.chatter
         if not gains.LOUD * limit < loud < math.inf:
             return usual
-        too_loud = gains.TOO_LOUD * limit
-        tried: list[tuple[float, TunedGains]] = []
-        for share, name in QUIETER if loud > too_loud else QUIETER[:1]:
-            lower = plan._replace(chatter=limit * (limit / loud) ** share, firm=True)
-            try:
-                again = search(lower, f"{step} {name}")
-            except ParameterError:  # the limit cannot be that low
-                continue
-            quiet = gains.loudness(plan, self._before, again)
-            if again.tuned.chosen.verified.reasons or quiet >= loud:
-                continue
-            again = again._replace(
-                note=f"a quieter search of {law} brought c_u of the simulated verification run from "
-                f"{loud:.3g} to {quiet:.3g}"
-            )
-            if gains.rivals(again, usual) and quiet <= too_loud:
-                return again
-            tried.append((quiet, again))
-        return gains.quieter(usual, loud, tried, too_loud)
+        try:
+            again = search(plan._replace(chatter=limit * (limit / loud), firm=True), f"{TUNING} again")
+        except ParameterError:  # the limit cannot be that low
+            return usual
+        quiet = gains.loudness(plan, self._before, again)
+        better = gains.rivals(again, usual) or quiet <= gains.TOO_LOUD * limit < loud
+        if again.tuned.chosen.verified.reasons or quiet >= loud or not better:
+            return usual
+        return again._replace(
+            note=f"a quieter search of {plan.law} brought c_u of the simulated verification run from "
+            f"{loud:.3g} to {quiet:.3g}"
+        )
 
     def _verified(self, candidate: TunedGains, doubted: bool) -> tuple[Verification | None, list[str]]:
         """The verification run, None if it ended early, and why the gains are not accepted.
 
-        ``doubted``: the model does not explain the readings, so that the parameters from before are tried
-        whatever the simulation says of them.
+        ``doubted``: the model does not explain the readings.
         """
         motion = gains.verifying_motion(candidate, self._period)
         length = len(motion.wanted) * self._period
@@ -379,40 +348,13 @@ class Commissioning:
         course = {name: self._before[name] for name in ("reshaping.lead", "command.bridge")}
         self._bench.apply({**course, **candidate.changes, "command_limit": self._limits.travel})
         try:
-            record = self._moved("verification", motion)
+            record = self._moved(motion)
         except Swings as fault:
             return None, [str(fault)]
-        verified = gains.judged(self._plan, self._before, candidate, motion, record)
-        if not verified.reasons and gains.contends(self._plan, verified, doubted):
-            verified = self._against_before(verified, motion)
+        verified = gains.judged(self._plan, self._before, candidate, motion, record, doubted)
         return verified, verified.reasons
 
-    def _against_before(self, verified: Verification, motion: VerifyingMotion) -> Verification:
-        """``verified`` judged by the same run with the parameters from before.
-
-        Parameters that swing there, or do anything else that ends a run, are no rival. A fault that has
-        another reason than them goes on with the new gains, and is raised then.
-        """
-        length = len(motion.wanted) * self._period
-        self._ask(
-            f"the parameters from before are set for {length:.0f} s of the same motion, because they may be "
-            "as good as the new gains"
-        )
-        present = self._bench.values()
-        restore(self._bench, {**self._before, **{name: present[name] for name in SAME}})
-        try:
-            record = self._moved("verification of before", motion, most_late=1.0)
-        except Fault as fault:
-            self._bench.off()
-            restore(self._bench, present)
-            self._bench.apply({"lvdt.limit": self._before["lvdt.limit"]})
-            self._at_rest(STILL)
-            self._bench.apply({"lvdt.limit": present["lvdt.limit"]})
-            return verified._replace(ended=str(fault))
-        restore(self._bench, present)
-        return gains.against(self._plan, verified, record)
-
-    def _moved(self, name: str, motion: VerifyingMotion, most_late: float = MOST_LATE) -> Record:
+    def _moved(self, motion: VerifyingMotion) -> Record:
         """Record of the judged part of ``motion``, each stretch with its share of late ones. Raises Fault."""
 
         def course(first: int, mark: Mark) -> Course:
@@ -423,18 +365,18 @@ class Commissioning:
 
         for _ in range(AGAIN):
             record = self._drive(
-                name,
+                VERIFICATION,
                 course,
                 len(motion.wanted) * self._period,
                 lambda record, first, end: gains.judged_part(motion.since(first), record, end),
             )
             late = gains.latest(motion, record)
-            if late <= most_late:
+            if late <= MOST_LATE:
                 return record
-            self._pauses[name] += 1
+            self._pauses[VERIFICATION] += 1
         raise Fault(
-            f"late messages reach {late:.0%} of a stretch of the {name} run, {AGAIN} times: it shows the "
-            "machine and not the gains; give controller and driver real-time priority (chrt -f 10), "
+            f"late messages reach {late:.0%} of a stretch of the verification run, {AGAIN} times: it shows "
+            "the machine and not the gains; give controller and driver real-time priority (chrt -f 10), "
             "or this host less to do"
         )
 
@@ -547,8 +489,8 @@ class Commissioning:
             self._seconds[name] = self._seconds.get(name, 0.0) + time.monotonic() - began
 
 
-def _notes(plan: Plan, tests: Tests, tuned: Tuned, ended: str, pauses: Mapping[str, int]) -> Iterator[str]:
-    """Sentences on the model, on parameters from before that misbehaved, on pauses, and on a c_u too high."""
+def _notes(plan: Plan, tests: Tests, tuned: Tuned, pauses: Mapping[str, int]) -> Iterator[str]:
+    """Sentences on the model, on pauses, and on a c_u too high."""
     fitted = tests.plant
     if fitted.error > plant.EXPLAINED:
         yield (
@@ -568,12 +510,10 @@ def _notes(plan: Plan, tests: Tests, tuned: Tuned, ended: str, pauses: Mapping[s
             "a linear valve whose friction has bristles describes the readings, and none without them: "
             f"presliding {1e3 * fitted.presliding:.2g} mV; such a spool may swing on its bristles"
         )
-    if ended:
-        yield f"with the parameters from before the same motion was ended ({ended}): they are no rival"
     if pauses:
         counts = ", ".join(f"{name} {count}" for name, count in pauses.items())
         yield f"readings, controller or host paused ({counts}): the stretches of tests were repeated"
-    if tuned.chatter is not None and tuned.chatter > plan.chatter:
+    if tuned.chatter > plan.chatter:
         least = min(point.chatter for point in tuned.front)
         yield (
             f"no gains that hold have c_u of {plan.chatter:g} or less with {1e3 * tests.rest.noise:.2g} mV "
@@ -608,7 +548,6 @@ def as_dict(result: Result) -> dict[str, Any]:
         "verification": {
             "measured": plain(verified.measured),
             "simulated": plain(verified.expected),
-            "measured_before": plain(verified.before),
             "simulated_before": plain(verified.former),
             "unseen_valves": verification.as_dict(result.tuned.chosen.verified),
         },

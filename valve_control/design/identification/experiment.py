@@ -7,10 +7,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from valve_control.arrays import Floats
-from valve_control.control.analysis.timing import Spread
 from valve_control.control.commands import scenarios
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND, CONTROLLER
@@ -46,7 +44,6 @@ class Experiment(NamedTuple):
     u_max: float  # V
     notes: tuple[str, ...]
     feedback: str = ""  # the law that the voltage came from, if it looks at the reading
-    times: "RecordedTimes | None" = None  # of a recorded test whose stamps tell them
     command: Floats | None = None  # V  NaN where it is not known
     leaps: tuple[int, ...] = ()  # samples before which time leaps
 
@@ -54,14 +51,6 @@ class Experiment(NamedTuple):
     def excitation(self) -> Floats:
         """What moves the valve whatever it reads [V]: the voltage, or under feedback the command."""
         return self.command if self.feedback and self.command is not None else self.voltage
-
-
-class RecordedTimes(NamedTuple):
-    """What the times of the messages of a recorded test tell, sample by sample."""
-
-    voltage: Floats  # V  mean until the next reading: a driver applies a voltage when it comes
-    late: npt.NDArray[np.bool_]  # readings
-    way: Spread  # s  from a reading to its voltage
 
 
 def simulated(controller: Values, valve: Values, command: Values, motion: Floats | None = None) -> Experiment:

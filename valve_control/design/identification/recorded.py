@@ -5,10 +5,9 @@
 import numpy as np
 
 from valve_control.arrays import Floats, Integers
-from valve_control.control.analysis import timing
 from valve_control.control.analysis.timing import leaps, numbered_by_time, true_period
 from valve_control.control.laws.registry import LAWS
-from valve_control.design.identification.experiment import Experiment, RecordedTimes
+from valve_control.design.identification.experiment import Experiment
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.clocks import in_order
 from valve_control.recordings.recording import Aligned, Recording, ValveRecording, align, voltages_before
@@ -41,8 +40,8 @@ def _numbered(aligned: Aligned, sequence: Integers, period: float, notes: list[s
 
 def _samples(
     aligned: Aligned, valve: ValveRecording, index: Integers, period: float
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Voltage, position, command [V] and time [s] by the number of the sample; NaN where they are not known.
+) -> tuple[Floats, Floats, Floats]:
+    """Voltage, position and command [V] by the number of the sample; NaN where they are not known.
 
     Voltages that were lost are left out: of readings that have no answer while most of them have one.
     """
@@ -57,7 +56,7 @@ def _samples(
     if aligned.answered is not None and aligned.wall and np.any(lost):
         stamp = aligned.stamp[0] + np.round((time[lost] + period) * 1e9).astype(np.int64)
         voltage[lost] = voltages_before(valve, stamp)
-    return voltage, position, command, time
+    return voltage, position, command
 
 
 def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
@@ -73,9 +72,8 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
     sequence = valve.signals["spool_position"].sequence[-count:]
     period = _kept_period(aligned, sequence, notes)
     index = _numbered(aligned, sequence, period, notes)
-    voltage, position, command, time = _samples(aligned, valve, index, period)
-    times = _times(aligned, valve, index, time, period)
-    length = len(time)
+    voltage, position, command = _samples(aligned, valve, index, period)
+    length = len(voltage)
     if length > count:
         notes.append(f"{length - count} of {length} readings were lost and are left out")
     cuts = index[leaps(aligned.stamp, index, period)] if aligned.wall and count > 1 else index[:0]
@@ -96,21 +94,6 @@ def recorded(recording: Recording, valve: ValveRecording) -> Experiment:
         u_max=float(initial.get("u_max", 10.0)),
         notes=tuple(notes),
         feedback=feedback,
-        times=times,
         command=command,
         leaps=tuple(cuts.tolist()),
     )
-
-
-def _times(
-    aligned: Aligned, valve: ValveRecording, index: Integers, time: Floats, period: float
-) -> RecordedTimes | None:
-    """What stamps tell; None: nothing, or the valve is a simulated one, which waits for its voltage."""
-    if aligned.answered is None or not aligned.wall or valve.simulator is not None:
-        return None
-    given = valve.signals["valve_voltage"]
-    sent = (given.time - aligned.stamp[0]) * 1e-9
-    late = np.zeros(len(time), dtype=np.bool_)
-    late[index] = timing.placed(aligned.time, index, period)[1]
-    means = timing.means(np.append(time, time[-1] + period), sent, given.value)
-    return RecordedTimes(means, late, timing.spread(aligned.latency))

@@ -101,10 +101,9 @@ LIMITS = (
 BY_NAME = {limit.name: limit for limit in LIMITS}
 
 
-def asked(limits: TuningLimits, chatter: float | None = None) -> dict[str, float]:
+def asked(limits: TuningLimits, chatter: float) -> dict[str, float]:
     """The limits by name, with that of the ``chatter``; what is not asked for is infinite, or 0."""
-    wanted = {limit.name: limit.asked(limits) for limit in LIMITS}
-    return wanted if chatter is None else {**wanted, "chatter": chatter}
+    return {**{limit.name: limit.asked(limits) for limit in LIMITS}, "chatter": chatter}
 
 
 def of_margins(measured: Margins) -> dict[str, list[float]]:
@@ -139,7 +138,7 @@ def violation(limits: TuningLimits, found: Margins, share: float = 1.0) -> float
 
 
 def as_rows(values: Mapping[str, Sequence[float]], wanted: Mapping[str, float]) -> list[dict[str, Any]]:
-    """For JSON: one row for each limit with ``values``, of sets of gains or valves."""
+    """For JSON: one row for each limit with ``values``, of sets of gains."""
     return [
         {
             "limit": limit.name,

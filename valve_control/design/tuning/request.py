@@ -84,20 +84,18 @@ def task_of(
     valves: int,
     unseen: int,
     seed: int,
-    recorded: bool,
     **asked: Any,
 ) -> Task:
     """The task of tuning ``laws`` on so many ``valves``, verified on as many ``unseen`` ones.
 
     ``chosen``: names of the controller's parameters that somebody has chosen. ``quantities`` vary from valve
-    to valve. ``recorded``: the ``settings`` are those of a recording, with the model that each law had.
-    ``asked``: other fields of the Problem. Raises ParameterError.
+    to valve. ``asked``: other fields of the Problem. Raises ParameterError.
     """
     plant = settings["valve_simulator"]
     offline.check_agreement(settings["controller"], plant)
     if not quantities:
         raise ParameterError("every quantity of the box is fixed; there is no spread to tune for")
-    values, notes = _controller(laws, settings, chosen, quantities, recorded)
+    values, notes = _controller(laws, settings, chosen, quantities)
     scale = models.scale_of(build.valve_model(plant))
     problems = box.problems(
         {**settings, "controller": values}, quantities, valves, unseen, seed, scale=scale, **asked
@@ -106,11 +104,7 @@ def task_of(
 
 
 def _controller(
-    laws: Sequence[Law],
-    settings: Settings,
-    chosen: Container[str],
-    quantities: Sequence[Quantity],
-    recorded: bool,
+    laws: Sequence[Law], settings: Settings, chosen: Container[str], quantities: Sequence[Quantity]
 ) -> tuple[Values, list[str]]:
     """The controller's values before the search: what the valve says of them, unless it was chosen."""
     plant, values, notes = settings["valve_simulator"], settings["controller"], list[str]()
@@ -118,9 +112,8 @@ def _controller(
         values = {**values, "linearisation.enabled": False}
         notes.append(STRAIGHT)
     for law in laws:
-        if not recorded:
-            values, note = box.with_model(law, {**settings, "controller": values}, chosen)
-            notes.append(note)
+        values, note = box.with_model(law, {**settings, "controller": values}, chosen)
+        notes.append(note)
         values, note = box.with_dead_time(law, {**settings, "controller": values}, quantities)
         notes.append(note)
     if "reshaping.form" not in chosen:  # a reference that brakes in time
@@ -140,7 +133,7 @@ def budgets(task: Task, budget: int) -> list[int]:
 
 
 def search(
-    task: Task, chatter: float | None, budget: int, threads: int, progress: Callable[[int, str], None]
+    task: Task, chatter: float, budget: int, threads: int, progress: Callable[[int, str], None]
 ) -> tuple[dict[str, Tuned], dict[str, str]]:
     """Results of all laws of a ``task`` by their names, and for each law without gains a sentence.
 

@@ -63,7 +63,6 @@ BEYOND = 10.0  # by which a set of gains that misses a margin counts for more wh
 CLOSE = 0.1  # of the logarithm of the error, by which a set may miss the best to be asked whether it rests
 ALERT = 100  # sets of gains, for which those are asked after one that did not rest
 NOT_RUN = 100.0  # cost of gains that are none
-FRONT_LIMITS = (0.2, 0.4, 0.1, 0.05)  # of the chatter, where none is asked for
 
 
 class EvaluatedGains(NamedTuple):
@@ -98,11 +97,8 @@ class SearchResult(NamedTuple):
     nearest: EvaluatedGains | None  # to a result, if there is none
 
 
-def phases(chatter: float | None) -> list[Phase]:
-    """Runs of a search, where ``chatter`` is the limit that is asked for, or None. The first is the main."""
-    if chatter is None:
-        main, *others = FRONT_LIMITS
-        return [Phase(main, 0.55), *(Phase(limit, 0.45 / len(others)) for limit in others)]
+def phases(chatter: float) -> list[Phase]:
+    """Runs of a search, where ``chatter`` is the limit that is asked for. The first is the main."""
     return [Phase(chatter, 0.85), Phase(0.5 * chatter, 0.075), Phase(2.0 * chatter, 0.075)]
 
 
@@ -428,14 +424,3 @@ def front(points: Sequence[EvaluatedGains]) -> list[EvaluatedGains]:
             kept.append(point)
             least = point.error
     return kept[::-1]
-
-
-def knee(kept: Sequence[EvaluatedGains]) -> EvaluatedGains:
-    """The point of a front that lies farthest below the line between its ends, both scales logarithmic."""
-    x = np.log([p.chatter for p in kept])
-    y = np.log([p.error for p in kept])
-    if len(kept) < 3:
-        return kept[int(np.argmin(x + y))]
-    spans = np.ptp(x), np.ptp(y)
-    away = (x - x.min()) / spans[0] + (y - y.min()) / spans[1]
-    return kept[int(np.argmin(away))]

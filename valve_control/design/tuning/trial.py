@@ -49,7 +49,6 @@ class TuningLimits(NamedTuple):
 
 
 USUAL = TuningLimits()
-OVERSHOOT = 0.05  # -  that is asked for of a reference that brakes in time
 
 
 class Problem(NamedTuple):

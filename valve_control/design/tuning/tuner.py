@@ -55,7 +55,7 @@ class Tuned(NamedTuple):
     chosen: Chosen  # that holds, or the first of those that do not
     tried: int
     missed: int  # of them, the margins or rest
-    chatter: float | None = None  # limit of it that was kept
+    chatter: float  # limit of it that was kept
     notes: Sequence[str] = ()  # on wishes that are missed
     limits: Sequence[Mapping[str, Any]] = ()  # how often each was missed: limits.as_rows
 
@@ -71,26 +71,16 @@ def variants(law: Law, values: Values) -> list[Mapping[str, Value]]:
     return fitting or [{}]
 
 
-def ranked(front: Sequence[EvaluatedGains], chatter: float | None) -> list[EvaluatedGains]:
-    """Points of a front in the order in which they are wanted: the least error at most so much ``chatter``.
-
-    None: the knee first. Empty if none fits.
-    """
-    if not front:
-        return []
-    if chatter is not None:
-        return sorted((p for p in front if p.chatter <= NEAR * chatter), key=lambda p: p.error)
-    best = search.knee(front)
-    return sorted(
-        front, key=lambda p: abs(math.log(p.error / best.error)) + abs(math.log(p.chatter / best.chatter))
-    )
+def ranked(front: Sequence[EvaluatedGains], chatter: float) -> list[EvaluatedGains]:
+    """Points of a front with at most so much ``chatter``, the least error first. Empty if none fits."""
+    return sorted((p for p in front if p.chatter <= NEAR * chatter), key=lambda p: p.error)
 
 
 def tuned(
     law: Law,
     problem: Problem,
     unseen: Problem,
-    chatter: float | None,
+    chatter: float,
     budget: int,
     seed: int,
     told: Told,
@@ -100,9 +90,9 @@ def tuned(
 ) -> Tuned:
     """Tune ``law`` on ``problem`` with ``budget`` sets of gains in each variant, and verify on ``unseen``.
 
-    ``chatter``: limit of it, None: the knee of the front is wanted. Where no gains keep it and it is not
-    ``firm`` the quieter ones are accepted. The gains of the parameters ``known`` are among the first that are
-    tried. ``told`` gets the sets of gains tried so far, before each verification too.
+    ``chatter``: limit of it. Where no gains keep it and it is not ``firm`` the quieter ones are accepted. The
+    gains of the parameters ``known`` are among the first that are tried. ``told`` gets the sets of gains
+    tried so far, before each verification too.
 
     A result comes always. Where no gains keep what is asked for it is the nearest, which is accepted unless
     it misses a margin, or another limit that a set of the search or the gains from before it keep. Raises
@@ -129,10 +119,8 @@ def tuned(
     usable, notes = _within(problem.limits.overshoot, points, chatter)
     front = search.front(usable) or [min(nearest, key=lambda p: p.error)]
     chosen: Chosen | None = None
-    wishes, kept = [chatter], chatter
-    if chatter is not None:  # what takes its place where no gains keep it
-        least = min(point.chatter for point in front)
-        wishes.append(QUIET * max(chatter, least))
+    least, kept = min(point.chatter for point in front), chatter
+    wishes = [chatter, QUIET * max(chatter, least)]  # the other one where no gains keep it
 
     @functools.cache
     def hard(name: str) -> bool:
@@ -164,9 +152,7 @@ def tuned(
             if not judged.reasons and (notes or not judged.notes):
                 break
             refused.append(point)
-        if chosen is not None and (
-            firm or wanted is None or not chosen.verified.seen.chatter > verification.SLACK * wanted
-        ):
+        if chosen is not None and (firm or not chosen.verified.seen.chatter > verification.SLACK * wanted):
             break
     assert chosen is not None, "the last of the wishes fits a point"
     if kept != chatter:
@@ -191,7 +177,7 @@ def _of_variant(variant: Mapping[str, Value], points: Sequence[EvaluatedGains]) 
 
 
 def _within(
-    most: float, points: Sequence[EvaluatedGains], chatter: float | None
+    most: float, points: Sequence[EvaluatedGains], chatter: float
 ) -> tuple[list[EvaluatedGains], list[str]]:
     """Those of ``points`` within ``most`` [-] of overshoot, or the nearest and a sentence about that.
 
@@ -200,7 +186,7 @@ def _within(
     known = [point for point in points if point.within(most) or point.overshoot is not None]
     if math.isinf(most) or not known:
         return list(points), []
-    quiet = [point for point in known if chatter is None or point.chatter <= NEAR * chatter] or known
+    quiet = [point for point in known if point.chatter <= NEAR * chatter] or known
     free = min(quiet, key=lambda p: p.error)
     worth = [point for point in quiet if point.error <= search.WORTH * free.error]
     least = min(worth, key=lambda p: (_overshoot(p), p.error))

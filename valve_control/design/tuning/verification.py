@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Verifies gains on valves, noise and motions that the search did not see, before they are accepted."""
 
-from collections import defaultdict
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -11,17 +10,11 @@ import numpy.typing as npt
 
 from valve_control.arrays import Floats
 from valve_control.control.laws.law import Law
-from valve_control.control.laws.registry import LAWS
-from valve_control.control.linear import margins, stability
-from valve_control.control.parameters import build
-from valve_control.control.simulation import robustness
-from valve_control.control.simulation.robustness import Study, StudyResult
+from valve_control.control.linear import margins
 from valve_control.design.tuning import checks, limits, trial
 from valve_control.design.tuning.trial import GainSet, Problem, Threads, TrialResult, TuningMotion
-from valve_control.parameter import word
 
 SLOWER = 1.1  # times as long: a motion of the search, turned over, as one that it did not see
-LOOKED_AT = 64  # valves of a study
 SLACK = 1.05  # times the limit of the chatter, which valves that were not seen may have
 
 
@@ -43,13 +36,13 @@ def verified(
     law: Law,
     problem: Problem,
     gains: GainSet,
-    chatter: float | None,
+    chatter: float,
     threads: Threads = None,
     firm: Callable[[str], bool] = lambda limit: True,
 ) -> Verified:
     """Try ``gains`` on ``problem``, whose valves and seed are others than those of the search.
 
-    ``chatter``: the limit that was asked for, None: none. ``firm``: whether gains that miss the limit of this
+    ``chatter``: the limit that was asked for. ``firm``: whether gains that miss the limit of this
     name are not accepted; it is asked only where one is missed, and not for a margin.
     """
     wanted = limits.asked(problem.limits, chatter)
@@ -90,8 +83,7 @@ def verified(
         check(name, limits.BY_NAME[name].value(law, problem, gains, threads))
     for outcome, commands in ((seen, "the commands"), (unseen, "commands that were not seen")):
         check("saturation", float(np.mean(outcome.saturated)), before=f"on {commands} ")
-    if chatter is not None:
-        check("chatter", seen.chatter, SLACK)
+    check("chatter", seen.chatter, SLACK)
     (answers,) = checks.answers(law, problem, [gains], threads)
     overshot, settling = (checks.typical(rows) for rows in answers)
     check("overshoot", overshot)
@@ -106,35 +98,6 @@ def verified(
         settling=settling,
         unsettled_share=float(np.mean(np.isinf(answers[1]))),
     )
-
-
-def of_study(study: Study, result: StudyResult, threads: Threads) -> list[dict[str, Any]]:
-    """How many of the first LOOKED_AT valves miss each limit of a search, for JSON; [] if nothing moves.
-
-    Each valve has its own gains, and the overshoot of its worst step.
-    """
-    asked = trial.USUAL._replace(overshoot=trial.OVERSHOOT)
-    gains, measured = GainSet({}, 0.0), defaultdict[str, list[float]](list)
-    points, periods = robustness.draw(study, 0, min(LOOKED_AT, study.valves))
-    for period in np.unique(periods).tolist():
-        values = robustness.sampled(study, "controller", period)
-        wanted = build.commands(robustness.sampled(study, "command_source", period))
-        if np.ptp(wanted) == 0.0:
-            return []
-        own = np.flatnonzero(periods == period)
-        plants = [build.valve_params(robustness.valve_of(study, int(i), points[i], period)) for i in own]
-        problem = Problem(values, [TuningMotion("command", wanted)], plants, plants, asked, False, study.seed)
-        law = LAWS[word(values, "controller")]
-        if law.feedback:
-            box = margins.prepared([stability.behind_curve(values, plant)[0] for plant in plants])
-            for name, each in limits.of_margins(margins.margins(law, law.build(values), box)).items():
-                measured[name] += each
-        restless = checks.after_all(law, problem, gains, plants, threads)
-        measured["saturation"] += result.results.saturated[own].tolist()
-        measured["not at rest"] += np.isin(np.arange(len(plants)), restless).astype(float).tolist()
-        (answers,) = checks.answers(law, problem, [gains], threads)
-        measured["overshoot"] += np.max(answers[0], axis=0).tolist()
-    return limits.as_rows(measured, limits.asked(asked))
 
 
 def as_dict(v: Verified) -> dict[str, Any]:
