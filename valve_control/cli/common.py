@@ -107,9 +107,9 @@ def parameter_options(group: Any, parameters: str) -> None:
     repeated(group, "--params-file", "FILE", "ROS 2 parameter file; later ones win, --set wins over files")
 
 
-def names_of_files(arguments: argparse.Namespace) -> str:
-    """Names of the parameter files, for the title of a figure."""
-    return ", ".join(Path(file).name for file in arguments.params_file) or "default parameters"
+def names_of_files(arguments: argparse.Namespace, usual: str = "default parameters") -> str:
+    """Names of the parameter files, for the title of a figure; ``usual``: of no file."""
+    return ", ".join(Path(file).name for file in arguments.params_file) or usual
 
 
 def changes_of(

@@ -208,7 +208,8 @@ def title_of(arguments: argparse.Namespace, law: str, settings: Mapping[str, Val
     if source["scenario"] == "array":
         motion = Path(str(source["command_file"])).name
     valve = settings["valve_simulator"]["valve"]
-    return f"{law} ({names_of_files(arguments)}) on the valve {valve}: {motion}"
+    gains = "recorded parameters" if _is_recording(arguments) else "default parameters"
+    return f"{law} ({names_of_files(arguments, gains)}) on the valve {valve}: {motion}"
 
 
 def _figure(
@@ -254,9 +255,16 @@ def _print(run: offline.Run, alone: bool = False) -> None:
         print(f"{run.controller}: {text}")
 
 
-def _simulate(arguments: argparse.Namespace) -> None:
+def _is_recording(arguments: argparse.Namespace) -> bool:
+    """Whether --command names a bag or log, and no array."""
     file = arguments.command
-    if file is not None and (arguments.map or os.path.isdir(file) or Path(file).suffix.lower() in BAGS):
+    return bool(file) and (
+        bool(getattr(arguments, "map", None)) or os.path.isdir(file) or Path(file).suffix.lower() in BAGS
+    )
+
+
+def _simulate(arguments: argparse.Namespace) -> None:
+    if _is_recording(arguments):
         settings, command = _recorded(arguments)
     else:
         refuse(arguments, WITH_BAG, "simulate without a bag")

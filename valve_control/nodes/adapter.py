@@ -326,8 +326,8 @@ class Diagnostics:
         """
         if not getattr(self._node, "working", True):
             level, message = DiagnosticStatus.OK, "inactive" if self._node.configured else "unconfigured"
-            if self._node.halted:
-                level, message = DiagnosticStatus.ERROR, self._node.halted
+            if self._node.halted and self._node.configured:
+                level, message = DiagnosticStatus.ERROR, f"inactive: {self._node.halted}"
         stamp = self._node.get_clock().now().to_msg()
 
         def pieces() -> Iterator[None]:

@@ -358,7 +358,8 @@ class Dashboard(Worker):
         with self.machine.lock:
             if state is valve.controller:
                 figures = {entry.key: entry.value for entry in status.values}
-                resting = status.message if status.message in RESTING else ""
+                state_name = status.message.partition(":")[0]
+                resting = state_name if state_name in RESTING else ""
                 state.state = resting or "active"
                 mode = resting or figures.get("mode", "")
                 valve.status("warning" if resting else level, mode, status.message, figures, now)

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hears whether somebody else gives voltages to the valve of a controller, which then has to stop.
 
-A young controller stops at once, since it would disturb a valve that is controlled. If two have controlled
-for long before they meet, both stop: none of them knows which is right. Voltages count, not publishers: an
+A young controller stops within half a second, since it would disturb a valve that is controlled. Two of the
+same age both stop: neither knows which is right. Voltages count, not publishers: an
 inactive controller has a publisher too, and that of a killed process stays in the graph for a while.
 """
 
@@ -15,7 +15,8 @@ from valve_control.nodes.adapter import EVERYTHING, NumberSubscription
 # s and sample periods of the windows in which the voltages of others are counted: the larger of both
 WINDOW, WINDOW_PERIODS = 0.2, 10
 YOUNG = 2.0  # s of voltages, which middlewares need to show who else is there
-BOTH = 10  # windows in a row with voltages of others after which an old one stops; a young one has by then
+SURE = 2  # windows in a row with voltages of others after which a young one stops: a count may be wrong
+BOTH = 10  # likewise of an old one; a young one has stopped by then
 MOST = 2  # voltages of a window by which a count may be wrong at its edges
 
 
@@ -55,4 +56,4 @@ class Rivals:
         others = self._heard - (self.given - self._given_before)
         self._row = self._row + 1 if others > MOST else 0
         self._begin_window(now, period)
-        return self._row >= (1 if self.given * period < YOUNG else BOTH)
+        return self._row >= (SURE if self.given * period < YOUNG else BOTH)

@@ -74,7 +74,7 @@ def _mode(status: Any) -> Mode | None:
     told = next((pair.value for pair in status.values if pair.key == "mode"), "")
     if told not in ("ok", "degraded", "safe"):
         return None
-    return Mode.INACTIVE if status.message in ("inactive", "unconfigured") else Mode[told.upper()]
+    return Mode.INACTIVE if status.message.startswith(("inactive", "unconfigured")) else Mode[told.upper()]
 
 
 def of_controller(said: Mapping[str, list[Word]], namespace: str, state: str) -> list[Word]:

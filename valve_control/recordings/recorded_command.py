@@ -9,7 +9,7 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES
 from valve_control.control.simulation import delivery
 from valve_control.control.supervision import command_course
-from valve_control.parameter import Values, defaults, number
+from valve_control.parameter import Values, defaults, number, updated
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.recording import Aligned, ValveRecording
 
@@ -17,7 +17,8 @@ from valve_control.recordings.recording import Aligned, ValveRecording
 def parameters_of(valve: ValveRecording, signals: Aligned, notes: list[str]) -> dict[str, Values]:
     """Parameters by node at the beginning of the run, defaults for those that are not recorded.
 
-    All nodes have the sample period of the ``signals``. ``notes``: what is not recorded, or not used.
+    All nodes have the sample period of the ``signals``. ``notes``: what is not recorded, or not used. Raises
+    ParameterError.
     """
     found = {"command_source": defaults(NODES["command_source"])}
     for kind, node in (("controller", valve.controller), ("valve_simulator", valve.simulator)):
@@ -32,7 +33,8 @@ def parameters_of(valve: ValveRecording, signals: Aligned, notes: list[str]) -> 
             f"{len(valve.controller.changes)} recorded change(s) of parameters are not simulated: "
             "the run has the values of the beginning"
         )
-    return {kind: {**values, "sample_period": round(signals.period, 9)} for kind, values in found.items()}
+    period = {"sample_period": round(signals.period, 9)}
+    return {kind: updated(NODES[kind], values, period) for kind, values in found.items()}
 
 
 def command_of(valve: ValveRecording, signals: Aligned, values: Values) -> Floats:
@@ -44,6 +46,8 @@ def command_of(valve: ValveRecording, signals: Aligned, values: Values) -> Float
         raise BagError(f"{valve.name} has no spool_command, so there is nothing to simulate")
     period = number(values, "sample_period")
     count = round((signals.time[-1] - signals.time[0]) / period) + 1
+    if count > 3 * len(signals.time) + 10_000:
+        raise BagError(f"the readings of {valve.name} leave gaps; choose a part with --from and --to")
     build.check_memory(count)
     recorded = valve.signals["spool_command"]
     # In lockstep, and where stamps do not tell it, no command has a time of its own.

@@ -28,6 +28,7 @@ from valve_control.parameter import Values, defaults, number, updated
 
 WORSE = 1.5  # times error and chatter of the simulation, that the running valve may have
 SLACK = 0.002  # V  of error beside that
+BETTER = 0.9  # times the error of the new gains, below which those from before are better
 CONTENDS = 1.5  # times the error of the gains of a search, up to which quieter ones are their rivals
 LOUD = 1.1  # c_u of the simulated verification run over its limit, above which a quieter search follows
 TOO_LOUD = 1.3  # likewise, above which quieter gains are taken whatever their error
@@ -233,7 +234,7 @@ def judged(
     if not measured.c_u <= most_chatter:
         reasons.append(f"c_u is {measured.c_u:.3g} on the running valve, above {most_chatter:.3g}")
     quiet = former.c_u <= max(WORSE * plan.chatter, expected.c_u)
-    if bounded and not doubted and quiet and former.e_rms < expected.e_rms:
+    if bounded and not doubted and quiet and former.e_rms < BETTER * expected.e_rms:
         reasons.append(
             f"in simulation the parameters from before do better, {1e3 * former.e_rms:.3g} mV rms instead of "
             f"{1e3 * expected.e_rms:.3g} mV"

@@ -169,7 +169,8 @@ def _triangle(tested: Experiment, lag: float) -> Triangle:
     for a, b in pairwise(turns if len(moving) else []):
         first, end = int(moving[a]), int(moving[b - 1]) + 1
         readings = np.concatenate([[first], known[(known > first) & (known < end)], [end]])
-        if abs(voltage[end] - voltage[first]) > WHOLE * travel and np.max(np.diff(readings)) <= BRIDGED + 1:
+        even = np.max(np.diff(readings)) <= BRIDGED + 1 and not any(first < at <= end for at in tested.leaps)
+        if even and abs(voltage[end] - voltage[first]) > WHOLE * travel:
             whole.append((first, end))
     lengths = [end - first for first, end in whole]
     if len(whole) <= LEAST_STROKES or max(lengths) - min(lengths) > 1.0 + EQUAL * max(lengths):
