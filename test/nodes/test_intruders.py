@@ -72,7 +72,7 @@ class Voltages:
         self.waiting = 0
 
 
-@pytest.mark.parametrize(("given", "windows"), [(0, 1), (2000, right_of_way.BOTH)])
+@pytest.mark.parametrize(("given", "windows"), [(0, right_of_way.SURE), (2000, right_of_way.BOTH)])
 def test_an_old_controller_stops_later_than_a_young_one(monkeypatch, given, windows):
     """Two old ones that meet late both stop; few voltages of others are an error of the count."""
     now, period = [0.0], 0.001
