@@ -396,8 +396,12 @@ class Controller(Managed):
             response.message, response.success = outputs.printable(f"{otherwise}: {reason}"), False
             self.get_logger().warning(response.message)
 
+    def _save_file(self) -> str:
+        own = self.get_fully_qualified_name().strip("/").replace("/", "_")
+        return word(self._values, "save_file") or f"{own}.yaml"
+
     def _on_save(self, request: Any, response: Any) -> Any:
-        name = word(self._values, "save_file")
+        name = self._save_file()
         with self._answering(response, f"{name} cannot be written"):
             path = inputs.expanded(name, "save_file").absolute()
             ros_file.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
@@ -406,7 +410,7 @@ class Controller(Managed):
 
     def _on_load(self, request: Any, response: Any) -> Any:
         with self._answering(response, "no parameter changed"):
-            name = word(self._values, "load_file") or word(self._values, "save_file")
+            name = word(self._values, "load_file") or self._save_file()
             path = inputs.expanded(name, "parameter file").absolute()
             values = arguments.addressed(str(path), self.get_fully_qualified_name(), self.table)
             changes = {n: value for n, value in values.items() if value != self._settings.values[n]}

@@ -36,13 +36,13 @@ class Rivals:
         if wanted and self._subscription is None:
             self._subscription = NumberSubscription(self._node, "valve_voltage", EVERYTHING)
             self._row = 0
-            self._begin_window(time.monotonic(), period)
+            self._begin_window(period)
         elif not wanted and self._subscription is not None:
             self._subscription.destroy()
             self._subscription = None
 
-    def _begin_window(self, now: float, period: float) -> None:
-        self._end = now + max(WINDOW, WINDOW_PERIODS * period)
+    def _begin_window(self, period: float) -> None:
+        self._end = time.monotonic() + max(WINDOW, WINDOW_PERIODS * period)
         self._heard, self._given_before = 0, self.given
 
     def control(self, period: float) -> bool:
@@ -50,10 +50,9 @@ class Rivals:
         if self._subscription is None:
             return False
         self._heard += sum(1 for _ in self._subscription.take())
-        now = time.monotonic()
-        if now < self._end:
+        if time.monotonic() < self._end:
             return False
-        others = self._heard - (self.given - self._given_before)
-        self._row = self._row + 1 if others > MOST else 0
-        self._begin_window(now, period)
+        own = self.given - self._given_before
+        self._row = self._row + 1 if self._heard > own + MOST else 0
+        self._begin_window(period)
         return self._row >= (SURE if self.given * period < YOUNG else BOTH)

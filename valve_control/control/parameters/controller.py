@@ -135,9 +135,10 @@ CONTROLLER: Table = (
     Parameter("lockstep", False, "", "wait at each reading for the command of the same number"),
     Parameter(
         "save_file",
-        "controller.yaml",
         "",
-        "file of ~/save_parameters, from the folder of the start",
+        "",
+        "file of ~/save_parameters, from the folder of the start; empty: that of /boom/controller is "
+        "boom_controller.yaml",
         node_only=True,
     ),
     Parameter("load_file", "", "", "file of ~/load_parameters, likewise; empty: save_file", node_only=True),
