@@ -60,7 +60,9 @@ class Figure(str):
         return f"SVG of {len(self) / 1000.0:.0f} kB"
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the SVG file ``path``, whole or not at all. Raises OSError."""
+        """Write the SVG file ``path``, whole or not at all. Raises ParameterError and OSError."""
+        if Path(path).suffix.lower() != ".svg":
+            raise ParameterError(f"{path} must end in .svg")
         outputs.write(os.fspath(path), self)
 
     def _repr_svg_(self) -> str:
@@ -142,10 +144,19 @@ class Call(NamedTuple):
 
     def _options(self, folder: Path) -> list[str]:
         files = [*self.parameters, *_several(self.options.get("params_file", []))]
+        for file in files:
+            if not isinstance(file, (Parameters, Mapping, str, os.PathLike)):
+                raise ParameterError(
+                    f"{type(file).__name__} are no parameters; give files, dicts by node, or results of load "
+                    "(a motion is given as command=...)"
+                )
         options = {**self.options, "params_file": files}
-        words: list[str] = []
+        words, actions = list[str](), _actions(self.task)
         for name, value in options.items():
             option = option_of(name)
+            one = isinstance(actions.get(option), argparse._StoreAction) and name not in MANY
+            if one and len(_several(value)) > 1:
+                raise ParameterError(f"{name} has {len(value)} entries; {self.task} takes one")
             if isinstance(value, Mapping):
                 value = [f"{k}={v if isinstance(v, str) else as_text(v)}" for k, v in value.items()]
             if name in MANY and value is not None:
@@ -176,20 +187,27 @@ def _several(value: Any) -> list[Any]:
 
 
 def _is_motion(value: Any) -> bool:
-    return (
-        isinstance(value, (list, np.ndarray))
-        and len(value) > 0
-        and np.isscalar(value[0])
-        and not isinstance(value[0], str)
-    )
+    """Whether ``value`` is an array, of numpy or pandas, or a list of numbers."""
+    numbers = isinstance(value, list) and len(value) > 0 and isinstance(value[0], (int, float, np.number))
+    return numbers or (hasattr(value, "__array__") and np.ndim(value) > 0)
 
 
 def _word(value: Any, folder: Path, name: str) -> str:
     """``value`` of an option; a motion or parameters as the name of a file in ``folder``."""
     if _is_motion(value):
-        np.save(folder / f"{name}.npy", np.asarray(value, dtype=float), allow_pickle=False)
+        motion = np.asarray(value)
+        if motion.ndim != 1 or len(motion) == 0 or motion.dtype.kind not in "iuf":
+            raise ParameterError(
+                f"an array of {motion.dtype} with the shape {motion.shape} is no motion; "
+                "give one real number [V] per sample"
+            )
+        np.save(folder / f"{name}.npy", np.asarray(motion, dtype=float), allow_pickle=False)
         return str(folder / f"{name}.npy")
     if isinstance(value, Mapping):
+        if not all(isinstance(values, Mapping) for values in value.values()):
+            raise ParameterError(
+                "parameters are a dict by node, such as {'valve_simulator': {'damping': 0.7}}"
+            )
         plain = {f"/**/{node}": outputs.plain(dict(values)) for node, values in value.items()}
         value = Parameters(as_yaml(plain), {})
     if isinstance(value, Parameters):
@@ -199,6 +217,12 @@ def _word(value: Any, folder: Path, name: str) -> str:
         value.save(path)
         return str(path)
     return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def _actions(task: str) -> dict[str, argparse.Action]:
+    """What argparse knows of each option of the ``task``."""
+    commands = next(a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
+    return dict(commands.choices[task]._option_string_actions)
 
 
 def _parsed(words: Sequence[str], line: Sequence[str]) -> argparse.Namespace:
@@ -275,16 +299,17 @@ def replay(bag: str | os.PathLike[str], *parameters: Source, **options: Any) -> 
     return Call("replay", (bag,), parameters, options).result("csv", "html")
 
 
-def _name_options() -> None:
-    """Add the names of its options to the docstring of each task, for help()."""
-    commands, hidden = parser(), {"task", "run", "bag", *OUTPUTS}
-    for task, words in (
-        (simulate, []), (compare, []), (identify, []), (tune, []), (margins, []),
-        (analyze, ["-"]), (replay, ["-"]),
-    ):  # fmt: skip
-        names = vars(commands.parse_args([task.__name__, *words])).keys() - hidden
-        text = textwrap.fill(f"Options: {', '.join(sorted(names))}.", 100)
-        task.__doc__ = f"{inspect.cleandoc(task.__doc__ or '')}\n\n{text}"
+def _describe_options() -> None:
+    """Add the options with the help of the command line to the docstring of each task, for help()."""
+    hidden = {"help", *OUTPUTS}
+    for task in (simulate, compare, identify, tune, margins, analyze, replay):
+        rows = [f"{inspect.cleandoc(task.__doc__ or '')}\n\nOptions:"]
+        for action in {id(a): a for a in _actions(task.__name__).values()}.values():
+            if action.dest not in hidden:
+                text = f"{action.dest}: {(action.help or '').replace('%%', '%')}"
+                text += f"; one of {', '.join(map(str, action.choices))}" if action.choices else ""
+                rows.append(textwrap.fill(text, 100, initial_indent="    ", subsequent_indent="        "))
+        task.__doc__ = "\n".join(rows)
 
 
-_name_options()
+_describe_options()

@@ -184,7 +184,7 @@ def _cut(law: Law, params: Any, terms: Floats, model: TransferFunction) -> str:
         ("reshaping.max_accel", "reference_accel", own.max_accel),
         ("reshaping.max_rate", "reference_rate", own.max_rate),
     ):
-        if name in could and LIKE * limit < number(could, name):
+        if term in law.term_labels and name in could and LIKE * limit < number(could, name):
             share = float(np.mean(np.abs(terms[:, law.term_labels.index(term)]) >= limit * (1.0 - 1e-9)))
             if share > CUT:
                 said.append(
