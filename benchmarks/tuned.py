@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.tuned``: every law at its best on random valves, at equal chatter, on four commands.
 
-Each law is tuned on some of the valves of a box by the package's own search (valve_control/tuning), all
-with the same number of trials, and measured on others. The commands are known ahead: those of laws that
+Each law is tuned on some of the valves of a box by the package's own search (valve_control/design/tuning),
+all with the same number of trials, and measured on others. The commands are known ahead: those of laws that
 reshape are made so that the reference is the wanted motion exactly; those of the plain PID are moved ahead
 by a tuned time. On the wide box margins are conditions; the narrow one has no spread in speed and dead
 time: none are asked for.

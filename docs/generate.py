@@ -148,16 +148,10 @@ def _entity(node: str, call: ast.AST) -> Entity | None:
         _, type_name, name, last = arguments
     else:
         return None
-    if isinstance(name, ast.JoinedStr):  # a name for each of several
-        text = "".join(str(part.value) if isinstance(part, ast.Constant) else "NAME" for part in name.values)
-        if not text.startswith("~/"):
-            return None
-    elif isinstance(name, ast.Constant):
-        text = str(name.value)
-    else:
+    if not isinstance(name, ast.Constant):
         return None
     qos = "" if kind == "serves" else QOS[ast.unparse(last)]
-    return Entity(node, kind, text, ast.unparse(type_name), qos)
+    return Entity(node, kind, str(name.value), ast.unparse(type_name), qos)
 
 
 def topics() -> str:

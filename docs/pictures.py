@@ -245,8 +245,14 @@ def live_change(path: Path) -> None:
 @picture
 def your_valve(path: Path) -> None:
     """The run of the tutorial with its gains."""
-    valve_control("identify", "--params-file", "docs/examples/my_valve.yaml", "--output", "valve.yaml")
-    files = ("valve.yaml", "docs/examples/my_valve.yaml", "docs/examples/my_controller.yaml")
+    valve = ("--params-file", "docs/examples/my_valve.yaml")
+    changes = ("scenario=sweep", "frequency=0.5", "sweep_time=20.0", "duration=21.0", "amplitude=2.0")
+    test = [word for change in changes for word in ("--set", change)]
+    valve_control("simulate", "--controller", "open_loop", *test, *valve, "--csv", "log.csv")
+    columns = ("time=time", "spool_position=measurement", "valve_voltage=voltage")
+    maps = [word for column in columns for word in ("--map", column)]
+    valve_control("identify", "log.csv", *maps, "--output", "log.yaml")
+    files = ("log.yaml", "docs/examples/my_valve.yaml", "docs/examples/my_controller.yaml")
     words = [word for name in files for word in ("--params-file", name)]
     valve_control("simulate", *words, "--figure", str(path))
 

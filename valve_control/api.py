@@ -259,7 +259,7 @@ def load(path: str | os.PathLike[str]) -> Parameters:
 
 
 def simulate(*parameters: Source, **options: Any) -> Result:
-    """Run one controller on one simulated valve; ``command`` may be a bag, or an array [V] of samples.
+    """Run one controller on one simulated valve; ``command``: a bag or log, or one number [V] per sample.
 
     Arrays: time [s], command, position, measurement, voltage [V], and the terms of the law.
     """

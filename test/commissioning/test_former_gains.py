@@ -63,7 +63,7 @@ def test_gains_from_before_that_are_better_in_simulation_win():
     found = judged(before, new, far)
     assert found.former.e_rms < found.expected.e_rms
     (reason,) = found.reasons
-    assert "in simulation the parameters from before do better" in reason
+    assert "in simulation the previous parameters do better" in reason
     assert not judged(before, new, far, doubted=True).reasons and not judged(new, before, far).reasons
 
 

@@ -289,7 +289,7 @@ def aborted(ros, stack, folder, namespace, planned, reached):
             assert set_parameters(ros, target, fault__lvdt="none").successful
     else:
         return
-    assert "its parameters from before are in" in said and "--undo brings them back" in said
+    assert "its previous parameters are in" in said and "--undo restores them" in said
     # The valve is without a voltage, and its spring has centred it: where 0 V and the offset put it.
     seen.fetch()
     position = np.median(seen.listener.values[f"{namespace}/spool_position"][-3:])
@@ -368,7 +368,7 @@ def test_killed_it_leaves_the_valve_at_neutral_and_can_be_undone(ros, tmp_path):
         assert seen.largest() <= VOLTAGE
         with commission(tmp_path) as child:  # not with the parameters of a commissioning as those from before
             assert ended(seen, child) == 2
-        assert "--undo brings them back" in (tmp_path / "said.log").read_text()
+        assert "--undo restores them" in (tmp_path / "said.log").read_text()
         with commission(tmp_path, "--undo") as child:
             assert ended(seen, child) == 0
         assert seen.parameters() == before and seen.active()

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from valve_control.parameter import Values
 
 OF_PLAN = ("budget", "valves", "unseen", "seed", "threads", "sensor_delay")  # options
-FAILED = 1  # exit status if the parameters are those from before
+FAILED = 1  # exit status if the parameters are the previous ones
 KEPT = f"limit of c_u, kept if given ({CHATTER:g}, or more if none keep it)"
 
 
@@ -119,7 +119,7 @@ def _folder(arguments: argparse.Namespace) -> "Folder":
 
 
 def _backup(folder: "Folder") -> "Values":
-    """Parameters from before that ``folder`` has. Raises ParameterError if it has none of its node."""
+    """The previous parameters, which ``folder`` has. Raises ParameterError if it has none of its node."""
     backup = folder.backup()
     if backup is None:
         raise ParameterError(f"there is no commissioning in {folder.path}; --folder names another one")
@@ -188,7 +188,7 @@ def _report_end(folder: "Folder", reversal: "Reversal", error: BaseException) ->
     """Say what became of the parameters at an early end, and put ``folder`` in order."""
     lines = list(reversal.report)
     if not reversal.restored and isinstance(error, Fault):
-        lines.append(f"its parameters from before are in {folder.path}; --undo brings them back")
+        lines.append(f"its previous parameters are in {folder.path}; --undo restores them")
     print(*lines, sep="\n", file=sys.stderr)
     if reversal.restored:
         try:
@@ -232,9 +232,7 @@ def _report(arguments: argparse.Namespace, result: "Result", folder: "Folder") -
     from valve_control.design.tuning import limits
 
     verified = result.verification
-    before = (
-        f"; {1e3 * verified.former.e_rms:.2f} mV with the parameters from before" if verified.former else ""
-    )
+    before = f"; {1e3 * verified.former.e_rms:.2f} mV with the previous parameters" if verified.former else ""
     say(
         arguments,
         f"{result.tuned.law}: e_rms {1e3 * verified.measured.e_rms:.2f} mV, c_u {verified.measured.c_u:.3f} "

@@ -91,7 +91,7 @@ def add_commands(commands: Any) -> None:
         help="order of the model that is fitted beside the second order (default: poles, zeros and dead "
         "time are chosen by the response)",
     )
-    yaml = "ROS 2 parameter file: valve model, compensator's model, estimates"
+    yaml = "ROS 2 parameter file: valve model and first gains for every law"
     output = output_group(identify, output=yaml, figure="Bode plot as PNG or SVG")
     repeated(
         output, "--characteristic", "FILE", "with --friction: draw the characteristic curve in both "

@@ -63,11 +63,13 @@ def add_commands(commands: Any) -> None:
         "analyze",
         parents=[shared],
         help="analyse a bag: sample rates, indices, estimates, spectra",
-        description="Analyse a rosbag2 recording without ROS.",
+        description="Analyse a rosbag2 recording or a log, without ROS.",
     )
     analyze.set_defaults(run=_analyze)
     _add_replay(commands, shared)
-    bag = commands.add_parser("bag", help="finish a bag", description="Finish a bag.")
+    bag = commands.add_parser(
+        "bag", help="copy a damaged or unfinished bag", description="Copy a damaged or unfinished bag."
+    )
     tasks = bag.add_subparsers(dest="bag_task", required=True, metavar="TASK")
     recover = tasks.add_parser(
         "recover",

@@ -60,8 +60,8 @@ def valve_options() -> Parser:
     return options
 
 
-def setup_options(several: bool = False) -> Parser:
-    """Parser with the options that say what is simulated; ``several``: with any number of commands."""
+def setup_options(several: bool = False, log: str = "") -> Parser:
+    """Parser with the options that say what is simulated; ``several`` commands; ``log``: what else is one."""
     options = Parser(add_help=False)
     group = options.add_argument_group("simulation")
     _valve_options(group, "controller, valve or command")
@@ -71,7 +71,7 @@ def setup_options(several: bool = False) -> Parser:
         metavar="FILE",
         action="append" if several else "store",
         help="command from a CSV or NPY array, one number per sample period"
-        + ("; again for more" if several else "; simulate: or from a bag or log"),
+        + ("; again for more" if several else log),
     )
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (6.0, or the whole array)")
     numbers(group, SEED if several else ("seed", int, None, "N", "seed of the LVDT noise (1)"))
@@ -102,10 +102,9 @@ def delivery_options(points: bool = True) -> Parser:
 
 def add_commands(commands: Any) -> None:
     """Add simulate, compare and parameters to the command's sub-commands."""
-    setup = setup_options()
     simulate = commands.add_parser(
         "simulate",
-        parents=[setup, delivery_options()],
+        parents=[setup_options(log="; or from a bag or log"), delivery_options()],
         help="run one controller on one valve with one command",
         description="Run one controller on one simulated valve; print the indices I1-I5 of the paper.",
     )
@@ -115,7 +114,7 @@ def add_commands(commands: Any) -> None:
     simulate.set_defaults(run=_simulate)
     compare = commands.add_parser(
         "compare",
-        parents=[setup, delivery_options()],
+        parents=[setup_options(), delivery_options()],
         help="simulate all controllers",
         description="Run every controller on one valve and one command.",
     )

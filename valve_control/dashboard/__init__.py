@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Shows valves in the browser, and lets one tune, compare and undo; knows no ROS."""
+"""Shows valves in the browser, and lets one tune, record and undo; knows no ROS."""

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hears whether somebody else gives voltages to the valve of a controller, which then has to stop.
 
-A young controller stops within half a second, since it would disturb a valve that is controlled. Two of the
-same age both stop: neither knows which is right. Voltages count, not publishers: an
-inactive controller has a publisher too, and that of a killed process stays in the graph for a while.
+In its first 2 s of voltages a controller stops after two windows, since the valve may be controlled already.
+Two of the same age both stop: neither knows which is right. Voltages count, not publishers: an inactive
+controller has a publisher too, and that of a killed process stays in the graph for a while.
 """
 
 import time

@@ -36,7 +36,7 @@ RECORDER: Table = running(
 DASHBOARD: Table = running(
     Parameter("port", 8080, "", "port of the page on 127.0.0.1; 0: any free port", 0, 65535),
     Parameter("token", "", "", "token in the address of the page that permits changes; empty: a new one"),
-    Parameter("folder", "out/dashboard", "", "folder of recordings, reports and results of runs"),
+    Parameter("folder", "out/dashboard", "", "folder of recordings"),
 )
 
 NODES: dict[str, Table] = {

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Course of the command: the upper level's motion at the time of a reading.
 
-Commands are samples of a motion at the times at which they were sent. Three predictors continue it from the
-newest: hold; a cubic of fading memory, which smooths noise; and the quintic through the last six commands.
+Commands are samples of a motion at the times at which they were sent. Four predictors continue it from the
+newest: hold; two cubics of fading memory, which smooth noise; the quintic through the last six commands.
 Each counts by how well it has predicted the last commands: the inverse square of its mean square error. So
 noise and staircases are held, as they are sent, and a smooth motion is continued with its derivatives. A
 command that no predictor explains is a step: it takes effect at once, and no derivative is made of it

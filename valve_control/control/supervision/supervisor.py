@@ -7,7 +7,7 @@ Three modes:
 ok        the law has the valve;
 degraded  the law has the valve, but something is reported: a silent or refused command, bridged readings,
           long saturation, a limit cycle, a broken assumption, a second publisher;
-safe      0 V, the spring centres the spool: the LVDT is implausible, or the law produced NaN or infinity.
+safe      0 V: the LVDT is implausible, the law gave NaN or infinity, or even cycles reach ±u_max.
 
 The steps are in control_step.py, functions on one memory (record.py), from which exported C is made too.
 Here is what only a node has: other laws and parameters, the period of the readings, counters and telemetry.

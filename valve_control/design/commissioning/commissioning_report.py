@@ -62,14 +62,14 @@ def _verdict(found: Result) -> str:
     ]
     if run.former is not None:
         sentences.append(
-            f"With the parameters from before ({found.before['controller']}) the simulation of this valve "
+            f"With the previous parameters ({found.before['controller']}) the simulation of this valve "
             f"gives {reached(run.former)} on the same commands."
         )
     sentences.append(
         f"No voltage was beyond ±{within.voltage:g} V, and in tests and verification no three readings in a "
         f"row were beyond ±{within.travel:g} V."
     )
-    sentences.append("valve-control commission --undo brings the parameters from before back.")
+    sentences.append("valve-control commission --undo restores the previous parameters.")
     return pages.notes([*sentences, *found.notes])
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps the files of a commissioning: parameters from before, whole tests, results and how it stands.
+"""Keeps the files of a commissioning: previous parameters, whole tests, results and how it stands.
 
 So the parameters come back whatever happens, and another commissioning can go on after the tests.
 """
@@ -31,7 +31,7 @@ RUNNING, DONE, ABORTED, UNDONE = "running", "commissioned", "aborted", "undone"
 
 
 class Backup(NamedTuple):
-    """The parameters of one controller from before, and how its commissioning stands."""
+    """The previous parameters of one controller, and how its commissioning stands."""
 
     node: str  # full name
     values: Values
@@ -54,7 +54,7 @@ class Folder:
         self._refusals = 0
 
     def backup(self) -> Backup | None:
-        """The parameters from before, None if there are none. Raises ParameterError for damaged files."""
+        """The previous parameters, None if there are none. Raises ParameterError for damaged files."""
         path = self.path / STATE
         if not path.exists():
             return None
@@ -73,13 +73,13 @@ class Folder:
         backup = self.backup()
         if backup is not None and backup.node != self.node and backup.state in (RUNNING, DONE):
             raise ParameterError(
-                f"{self.path} has the parameters from before the commissioning of {backup.node}; --folder "
+                f"{self.path} has the previous parameters of {backup.node}; --folder "
                 f"gives {self.node} one of its own"
             )
         if backup is not None and backup.state == RUNNING and sequence.differences(present, backup.values):
             raise ParameterError(
                 f"a commissioning of {backup.node} was not brought to its end, and {self.path} has the "
-                "parameters from before it; --undo brings them back"
+                "previous parameters; --undo restores them"
             )
 
     def begin(self, before: Values) -> Path | None:
@@ -97,7 +97,7 @@ class Folder:
             for path in left:
                 path.rename(aside / path.name)
         self.path.mkdir(parents=True, exist_ok=True)
-        about = "Parameters from before the commissioning; --undo brings them back."
+        about = "Parameters before the commissioning; --undo restores them."
         self._keep(PARAMETERS, self.node, before, about)
         self.mark(RUNNING)
         return aside

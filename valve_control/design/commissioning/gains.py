@@ -71,7 +71,7 @@ class Verification(NamedTuple):
     record: Record
     measured: Indices
     expected: Indices  # with the new gains
-    former: Indices | None  # with the parameters from before, None if those are unstable
+    former: Indices | None  # with the previous parameters, None if those are unstable
     reasons: list[str]  # why the gains are not accepted
 
 
@@ -219,7 +219,7 @@ def judged(
     """Judge the ``record`` of a verification run, its judged part, by the simulation of its ``motion``.
 
     Samples that are not ``steady`` count in neither. ``doubted``: the simulation is not believed where it
-    says that the parameters from before are better. Raises ParameterError.
+    says that the previous parameters are better. Raises ParameterError.
     """
     measured, kept = _indices(record), steady(record)
     expected, _ = _simulated(_limited(plan, before, candidate.changes), candidate.valve, motion, kept)
@@ -236,7 +236,7 @@ def judged(
     quiet = former.c_u <= max(WORSE * plan.chatter, expected.c_u)
     if bounded and not doubted and quiet and former.e_rms < BETTER * expected.e_rms:
         reasons.append(
-            f"in simulation the parameters from before do better, {1e3 * former.e_rms:.3g} mV rms instead of "
+            f"in simulation the previous parameters do better, {1e3 * former.e_rms:.3g} mV rms instead of "
             f"{1e3 * expected.e_rms:.3g} mV"
         )
     return Verification(record, measured, expected, former if bounded else None, reasons)

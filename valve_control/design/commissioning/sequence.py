@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Goes through a commissioning step by step, and brings the parameters from before back if it fails.
+"""Goes through a commissioning step by step, and restores the previous parameters if it fails.
 
 While it goes on, the controller itself keeps the limits: ``u_max`` is that of the voltage, ``lvdt.limit``
 that of the travel, and a command that falls silent leads to neutral. So they hold whatever becomes of this
@@ -101,7 +101,7 @@ class Steps(Protocol):
 
 
 class Reversal:
-    """What became of the parameters from before when a commissioning ended early."""
+    """What became of the previous parameters when a commissioning ended early."""
 
     def __init__(self) -> None:
         self.restored = False  # all are in force again
@@ -258,7 +258,7 @@ class Commissioning:
 
     def _kept(self, changes: Values) -> Values:
         """Set ``changes`` for good, with the limits and the rest from before; returns all."""
-        self._ask("the new gains stay; voltage and travel get their limits from before back")
+        self._ask("the new gains stay; voltage and travel get their previous limits back")
         final = {**self._before, **changes}
         restore(self._bench, final)
         if self._look(voltage=number(final, "u_max"), travel=number(final, "lvdt.limit"), step=LAST):
