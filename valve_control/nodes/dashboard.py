@@ -358,8 +358,7 @@ class Dashboard(Worker):
         with self.machine.lock:
             if state is valve.controller:
                 figures = {entry.key: entry.value for entry in status.values}
-                state_name = status.message.partition(":")[0]
-                resting = state_name if state_name in RESTING else ""
+                resting = next((s for s in RESTING if status.message.startswith(s)), "")
                 state.state = resting or "active"
                 mode = resting or figures.get("mode", "")
                 valve.status("warning" if resting else level, mode, status.message, figures, now)
