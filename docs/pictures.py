@@ -432,13 +432,12 @@ def raised_gain(path: Path) -> None:
 
 @picture
 def commissioned(path: Path) -> None:
-    """Report of the tutorial's commissioning, at the pace of the machine: both nodes wait for each other."""
-    valve_control("identify", "--params-file", SOLENOID, "--friction", "--output", "solenoid.yaml")
-    patience = ("lvdt.hold_samples:=5000", "lvdt.period_limit:=1000.0", "lvdt.frozen_samples:=0")
-    settings = [word for text in ("controller:=dcarc", *patience) for word in ("-p", text)]
+    """Report of the tutorial's commissioning, on a machine without other load."""
+    sheet = ("natural_frequency=10", "damping=0.8", "full_stroke=9", "hysteresis=4", "lvdt.noise=0.003")
+    valve_control("identify", "--data-sheet", *sheet, "--output", "sheet.yaml")
     with nodes(
-        ["valve_simulator", "--params-file", SOLENOID, "-p", "patience:=1.0"],
-        ["controller", "--params-file", "solenoid.yaml", *settings],
+        ["valve_simulator", "--params-file", SOLENOID],
+        ["controller", "--params-file", "sheet.yaml", "-p", "controller:=dcarc"],
     ):
         valve_control("commission", "--yes", "--folder", "commission")
     screenshot("commission/report.html", path, 1500)
