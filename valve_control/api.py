@@ -10,6 +10,7 @@ ParameterError, a bag that cannot be read BagError, with one sentence. A law tha
 
 import argparse
 import contextlib
+import functools
 import html
 import inspect
 import io
@@ -219,9 +220,14 @@ def _word(value: Any, folder: Path, name: str) -> str:
     return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
+@functools.cache
+def _parser() -> argparse.ArgumentParser:
+    return parser()
+
+
 def _actions(task: str) -> dict[str, argparse.Action]:
     """What argparse knows of each option of the ``task``."""
-    commands = next(a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
+    commands = next(a for a in _parser()._actions if isinstance(a, argparse._SubParsersAction))
     return dict(commands.choices[task]._option_string_actions)
 
 
@@ -229,7 +235,7 @@ def _parsed(words: Sequence[str], line: Sequence[str]) -> argparse.Namespace:
     """The command's arguments. Raises ParameterError with the sentence of the command."""
     with contextlib.redirect_stderr(io.StringIO()) as text:
         try:
-            return parser().parse_args(words, argparse.Namespace(line=list(line)))
+            return _parser().parse_args(words, argparse.Namespace(line=list(line)))
         except SystemExit as error:
             raise ParameterError(text.getvalue().strip()) from error
 
