@@ -49,8 +49,6 @@ FRICTIONS = (0.5, 1.0, 2.0, 4.0)  # times that of the valve
 SINES = (0.05, 0.2, 1.0, 3.0, 10.0)  # Hz
 MOTIONS = ("rest", "steps", *(f"{frequency:g} Hz" for frequency in SINES))
 SOUND = 20.0  # s
-BEYOND = 4.0  # V  20 % of the stroke
-STANDING = 0.3  # s  above lvdt.disturbance
 TUNED = tuple(
     f"{valve_name}_{law}"
     for valve_name in ("d3fxe", "d3fxe_experiment")

@@ -45,7 +45,7 @@ class Device:
         self._beyond: float | None = None  # V, of the last reading if it is out of range
         self._broken = False  # the last reading has no live zero; the output is at 0 V
         self._lost_until = -math.inf
-        self.readings = self.lost = self.late = self.silences = self.reopened = 0
+        self.readings = self.lost = self.late = self.reopened = 0
 
     def limit(self, position: Side, voltage: Side) -> None:
         """Use other limits."""
@@ -127,7 +127,6 @@ class Device:
             self._lose(error)
             return None
         if reading is None:
-            self.silences += 1
             return None
         return self._in_volts(reading)
 
