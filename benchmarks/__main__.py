@@ -33,17 +33,10 @@ def main() -> int:
     options.add_argument("--only", choices=PARTS, action="append", help="one part; again for more")
     options.add_argument("--out", default="out", metavar="FOLDER", help="output folder (out)")
     arguments = options.parse_args()
-    interrupts.watch(signal.SIGINT, signal.SIGTERM)
-    try:
-        status = _measured(arguments)
-    except BaseException:
-        if not interrupts.come():
-            raise
-    interrupts.ignore()
-    if not interrupts.come():
-        return status
-    print("\nstopped; no node is left running", file=sys.stderr)
-    return interrupts.STATUS
+    status = interrupts.run(lambda: _measured(arguments), signal.SIGINT, signal.SIGTERM)
+    if interrupts.come():
+        print("\nstopped; no node is left running", file=sys.stderr)
+    return status
 
 
 def _measured(arguments: argparse.Namespace) -> int:

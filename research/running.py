@@ -40,10 +40,7 @@ def run(
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if argv is not None:
         return ended(parser.prog, parser.prog, lambda: work(parser.parse_args(argv)))
-    interrupts.watch()
-    status = ended(parser.prog, parser.prog, lambda: work(parser.parse_args()))
-    interrupts.ignore()
-    return interrupts.STATUS if interrupts.come() else status
+    return interrupts.run(lambda: ended(parser.prog, parser.prog, lambda: work(parser.parse_args())))
 
 
 def _begin(all_there: Any) -> None:
@@ -61,7 +58,7 @@ def pool(processes: int, context: Any = None) -> Iterator[ProcessPoolExecutor]:
     # Its start would let the signals through that are held back below.
     resource_tracker.ensure_running()
     # A process that has not yet come to its initializer would print a traceback.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGALRM])
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     context = context or multiprocessing.get_context()
     # A pool starts no other process while one has nothing to do; it would do so when nothing is held back.
     executor = ProcessPoolExecutor(

@@ -138,8 +138,7 @@ def draw(path: Path, found: dict[str, Measured]) -> None:
     import matplotlib.pyplot as plt
     import numpy as np
 
-    from valve_control import outputs
-    from valve_control.control.analysis.figures import COLOURS
+    from valve_control.control.analysis.figures import COLOURS, save
 
     figure, ((loop, step), (gain, phase)) = plt.subplots(2, 2, figsize=(10.0, 7.5))
     for colour, (name, one) in zip(COLOURS, found.items(), strict=False):
@@ -165,7 +164,7 @@ def draw(path: Path, found: dict[str, Measured]) -> None:
     phase.axhline(-90.0, color="grey", lw=0.8)
     figure.legend(*loop.get_legend_handles_labels(), loc="upper center", ncols=len(found), frameon=False)
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.96))
-    outputs.write(str(path), outputs.figure_bytes(figure, str(path)))
+    save(figure, path)
 
 
 def _options() -> Parser:

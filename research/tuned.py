@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from research import running
-from valve_control import outputs
 from valve_control.cli.common import Parser, check_outputs, say, write_json
+from valve_control.control.analysis import figures
 from valve_control.parameter import ParameterError
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def _compare(arguments: argparse.Namespace) -> None:
         )
         print(comparison.table(found))
     if arguments.figure is not None:
-        outputs.write(arguments.figure, _figure(found, arguments.figure))
+        _draw(Path(arguments.figure), found)
         say(arguments, f"wrote {arguments.figure}")
     laws = {
         setup.name: {"controller": setup.values["controller"], "preview_s": setup.preview} for setup in given
@@ -89,8 +89,8 @@ def _compare(arguments: argparse.Namespace) -> None:
     )
 
 
-def _figure(found: Mapping[str, Mapping[str, "Errors"]], path: str) -> bytes:
-    """Bars of the medians with a line up to the 95th percentile, by command and law."""
+def _draw(path: Path, found: Mapping[str, Mapping[str, "Errors"]]) -> None:
+    """Draw bars of the medians with a line up to the 95th percentile, by command and law."""
     import numpy as np
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogFormatter, StrMethodFormatter
@@ -125,7 +125,7 @@ def _figure(found: Mapping[str, Mapping[str, "Errors"]], path: str) -> bytes:
         axes.set_title(f"{text}: medians, lines up to the 95th percentile")
         axes.legend(fontsize="small", ncols=len(by_name), loc="upper center", bbox_to_anchor=(0.5, -0.08))
     figure.tight_layout()
-    return outputs.figure_bytes(figure, path)
+    figures.save(figure, path)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -69,7 +69,6 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
         (["export", "--output", "e", "--set", "dcarc.denominator=[1.0, 2.0]"], ["dcarc.model=custom"]),
         (["study", "--replay", "1", "--output", "v.yaml", "--figure", "f.png"], ["--figure", "--replay"]),
         (["identify", "--set", "valve=second_order", "--order", "4", *QUICK], ["not support", "--order 2"]),
-        (["simulate", "--command", "/dev/zero"], ["it is no file"]),
         (
             ["simulate", "--command-period", "0.01", "--command-jitter", "0.02"],
             ["--command-jitter is 0.02 s"],
@@ -95,7 +94,7 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
         (["replay", "/dev/null"], ["/dev/null", "neither a file nor a folder"]),
     ],
 )
-def test_contradictions_and_endless_inputs(run, tmp_path, arguments, words):
+def test_contradictions(run, tmp_path, arguments, words):
     (tmp_path / "c.csv").write_text("0.0\n0.5\n1.0\n")
     refused(run(*arguments), *words)
     assert [p.name for p in tmp_path.iterdir()] == ["c.csv"]

@@ -54,7 +54,8 @@ def stopped(child):
     while living(child.pid):
         assert time.monotonic() < until, f"processes {living(child.pid)} outlive the command"
         time.sleep(0.01)
-    return child.returncode, out, err
+    # Python itself ends by SIGINT if the exception came from below an eval; a shell shows 130 for it.
+    return child.returncode if child.returncode >= 0 else 128 - child.returncode, out, err
 
 
 RECORDS = """

@@ -3,22 +3,15 @@
 """Writes files whole or not at all, and checks the paths of outputs before the work begins."""
 
 import errno
-import io
 import json
 import math
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from valve_control.parameter import ParameterError
-
-
-def check_figure(path: str | None) -> None:
-    """Raise ParameterError unless ``path`` names a PNG or SVG file."""
-    if path is not None and Path(path).suffix.lower() not in (".png", ".svg"):
-        raise ParameterError(f"--figure {path} must end in .png or .svg")
 
 
 def check(paths: Sequence[str], inputs: Sequence[str] = ()) -> None:
@@ -37,7 +30,7 @@ def check(paths: Sequence[str], inputs: Sequence[str] = ()) -> None:
             (not whole.parent.is_dir(), f"there is no folder {whole.parent}"),
             (path.endswith("/") or whole.is_dir(), "it is a folder"),
             (not os.access(whole.parent if ordinary else whole, os.W_OK), "permission denied"),
-            (whole.is_file() and _is_read_only(whole), "it is read-only"),
+            (whole.is_file() and not whole.stat().st_mode & 0o222, "it is read-only"),
         ):
             if wrong:
                 raise ParameterError(f"{path} cannot be written: {reason}")
@@ -61,7 +54,7 @@ def write(path: str, content: str | bytes) -> None:
         if target.exists() and not target.is_file():
             target.write_bytes(data)  # such as /dev/null
             return
-        if target.exists() and _is_read_only(target):
+        if target.exists() and not target.stat().st_mode & 0o222:
             raise PermissionError(errno.EACCES, "it is read-only")
         with tempfile.NamedTemporaryFile(
             dir=target.parent, prefix=f".{target.name}.", delete=False
@@ -88,21 +81,6 @@ def shown(path: Path) -> str:
     return printable(str(path.absolute()))
 
 
-def _is_read_only(path: Path) -> bool:
-    """Whether nobody may write the file, or not the one who asks; root could, and should not by accident."""
-    return not path.stat().st_mode & 0o222 or not os.access(path, os.W_OK)
-
-
-def csv_text(columns: Mapping[str, Any], form: str) -> str:
-    """CSV text of ``columns`` (arrays of one length, by name), numbers in the ``form`` such as %.10g."""
-    import numpy as np
-
-    stream = io.StringIO()
-    rows = np.column_stack(list(columns.values()))
-    np.savetxt(stream, rows, delimiter=",", header=",".join(columns), comments="", fmt=form)
-    return stream.getvalue()
-
-
 def as_json(result: Any) -> str:
     """JSON text of ``result``; NaN and infinity become null."""
     return json.dumps(plain(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -117,20 +95,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def figure_bytes(figure: Any, path: str) -> bytes:
-    """A matplotlib figure as the bytes of the file ``path``, PNG or SVG by its ending; closes the figure.
-
-    The same figure gives the same bytes.
-    """
-    import matplotlib.pyplot as plt
-
-    stream = io.BytesIO()
-    kind = Path(path).suffix[1:].lower()
-    try:
-        with plt.rc_context({"svg.hashsalt": "valve_control"}):
-            figure.savefig(stream, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
-    finally:
-        plt.close(figure)
-    return stream.getvalue()

@@ -33,8 +33,8 @@ from research.campaigns.processes import (
     wait_until,
 )
 from valve_control import outputs
+from valve_control.design.priority import yield_cores
 from valve_control.nodes.adapter import SAMPLES, NumberSubscription
-from valve_control.priority import yield_cores
 
 NODES = ("controller", "valve_simulator", "command_source")
 CONFIG = ("d3fxe.yaml", "command_source.yaml")

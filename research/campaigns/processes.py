@@ -207,21 +207,19 @@ def run_tool(name: str, folder: Path, work: Callable[[], int]) -> int:
         print(f"{name}: output folder {folder} cannot be made: {error.strerror}", file=sys.stderr)
         return 1
 
-    interrupts.watch(signal.SIGINT, signal.SIGTERM)
-    try:
+    def tool() -> int:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        status = work()
-    except BaseException as error:
-        # A compiled module that is interrupted in its import raises an ImportError instead.
-        if not interrupts.come():
-            if not isinstance(error, (RuntimeError, ParameterError, OSError)):
-                raise
-            print(f"{name}: {error}; the nodes' logs are in {folder}", file=sys.stderr)
-            status = 1
+        try:
+            return work()
+        except (RuntimeError, ParameterError, OSError) as error:
+            if not interrupts.come():
+                print(f"{name}: {error}; the nodes' logs are in {folder}", file=sys.stderr)
+            return 1
+
+    try:
+        status = interrupts.run(tool, signal.SIGINT, signal.SIGTERM)
     finally:
-        interrupts.ignore()
         rclpy.try_shutdown()
-    if not interrupts.come():
-        return status
-    print("\nstopped; no node is left running", file=sys.stderr)
-    return interrupts.STATUS
+    if interrupts.come():
+        print("\nstopped; no node is left running", file=sys.stderr)
+    return status

@@ -18,8 +18,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_parameters
 from std_msgs.msg import Float64
 
+from valve_control.design.priority import yield_cores
 from valve_control.nodes.adapter import SAMPLES
-from valve_control.priority import yield_cores
 
 MEET = 10.0  # s until a client sees its server
 PATIENCE = 5.0  # s for the last answers

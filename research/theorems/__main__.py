@@ -10,8 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from research import running
-from valve_control import outputs
-from valve_control.cli.common import CORES, MOST_THREADS, Parser, check_outputs, say, within, write_json
+from valve_control.cli.common import (
+    CORES,
+    MOST_THREADS,
+    Parser,
+    check_figure,
+    check_outputs,
+    say,
+    within,
+    write_json,
+)
 from valve_control.parameter import ParameterError
 
 if TYPE_CHECKING:
@@ -84,7 +92,7 @@ def _theorems(arguments: argparse.Namespace) -> None:
         drawn = {name: [folder / f"{name}.{kind}" for kind in ("png", "svg")] for name in ERRATA_FIGURES}
     more = [arguments.dcarc_figure] if arguments.dcarc_figure is not None else []
     check_outputs(arguments, *(str(p) for paths in drawn.values() for p in paths), *more)
-    outputs.check_figure(arguments.dcarc_figure)
+    check_figure(arguments.dcarc_figure)
     seed, processes = arguments.seed, arguments.processes
     with _progress("bound on V2") as progress:
         bound = robust.experiment(arguments.valves, seed, processes=processes, progress=progress)

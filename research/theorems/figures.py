@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draws the results of the experiments as PNG or SVG files."""
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,7 @@ import numpy as np
 
 from research.theorems import adaptive, learning, loop, robust, sampling
 from research.theorems.tables import percent
-from valve_control import outputs
-from valve_control.control.analysis.figures import COLOURS
+from valve_control.control.analysis.figures import COLOURS, save
 
 PERIOD_AXIS = "sample period ΔT [ms]"
 
@@ -32,14 +30,9 @@ def _new(columns: int, width: float) -> tuple[Any, Any]:
 def _save(figure: Any, paths: Sequence[Path]) -> None:
     import matplotlib.pyplot as plt
 
-    try:
-        for path in paths:
-            kind = path.suffix[1:].lower()
-            stream = io.BytesIO()
-            figure.savefig(stream, format=kind, dpi=100, metadata={"Date": None} if kind == "svg" else None)
-            outputs.write(str(path), stream.getvalue())
-    finally:
-        plt.close(figure)
+    for path in paths:
+        save(figure, path)
+    plt.close(figure)
 
 
 def draw_theorems(

@@ -6,9 +6,10 @@ The valve that feeds it has the parameters of ``valve_simulator``; they are thos
 """
 
 import math
+import os
+from pathlib import Path
 from typing import Any
 
-from valve_control import inputs
 from valve_control.axis import axis, axis_arc_sampled, axis_pid, machine, upper
 from valve_control.control.laws.common import SAMPLE_PERIOD
 from valve_control.control.parameters import build, files, ros_file
@@ -328,7 +329,7 @@ def known_machine(name: str) -> Values:
     folder = ros_file.config_folder() / "axis"
     path = folder / f"{name}.yaml"
     if not path.is_file():
-        path = inputs.expanded(name, "machine")
+        path = Path(os.path.expanduser(name))
     if not path.is_file():
         known = one_of(sorted(p.stem for p in folder.glob("*.yaml")))
         raise ParameterError(f"machine is '{name}'; it must be {known}, or the path of a parameter file")

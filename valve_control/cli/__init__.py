@@ -19,19 +19,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         from valve_control.cli import command
 
         return command.run(argv)
-    interrupts.watch()
+    return interrupts.run(_command)
+
+
+def _command() -> int:
     for name in ("stdout", "stderr"):  # a stream may be closed, or without letters such as Θ
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
         getattr(sys, name).reconfigure(errors="replace")
-    try:
-        from valve_control.cli import command
+    from valve_control.cli import command
 
-        status = command.run(sys.argv[1:], alone=True)
-    except BaseException:
-        interrupts.ignore()
-        if not interrupts.come():
-            raise
-        return interrupts.STATUS
-    interrupts.ignore()
-    return interrupts.STATUS if interrupts.come() else status
+    return command.run(sys.argv[1:], alone=True)

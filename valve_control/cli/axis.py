@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control import outputs
 from valve_control.cli.common import (
     changes_of,
+    csv_text,
     deliver,
     law_option,
     names_of_files,
@@ -64,7 +64,7 @@ def _axis(arguments: argparse.Namespace) -> None:
         print(_notes(setup, found))
     if arguments.csv is not None:
         columns = {"time": found.time, **found.signals}
-        deliver(arguments, arguments.csv, outputs.csv_text(columns, "%.10g"))
+        deliver(arguments, arguments.csv, csv_text(columns, "%.10g"))
     if arguments.figure is not None:
         title = f"axis under {setup.level}, valve under {setup.law} ({names_of_files(arguments)})"
         _draw(Path(arguments.figure), found, title)

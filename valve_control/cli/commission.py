@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control import interrupts, priority
+from valve_control import interrupts
 from valve_control.cli.common import (
     BUDGET,
     CHATTER,
@@ -26,6 +26,7 @@ from valve_control.cli.common import (
     write_json,
     wrote,
 )
+from valve_control.design import priority
 from valve_control.design.commissioning.bench import Fault, Plan, SafetyLimits, check
 from valve_control.parameter import ParameterError, number, word
 

@@ -4,17 +4,19 @@
 
 import argparse
 import contextlib
+import io
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from valve_control import interrupts, outputs, priority
+from valve_control import interrupts, outputs
 from valve_control.control.compiling import LawError
 from valve_control.control.laws.registry import LAWS, LEFT_OUT
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import NODES
+from valve_control.design import priority
 from valve_control.parameter import ParameterError, Table
 from valve_control.recordings.bags.errors import BagError
 
@@ -134,6 +136,12 @@ def changes_of(
     return changes
 
 
+def check_figure(path: str | None) -> None:
+    """Raise ParameterError unless ``path`` names a PNG or SVG file."""
+    if path is not None and Path(path).suffix.lower() not in (".png", ".svg"):
+        raise ParameterError(f"--figure {path} must end in .png or .svg")
+
+
 def check_outputs(arguments: argparse.Namespace, *more: str) -> argparse.Namespace:
     """Refuse outputs that cannot be written, of OUTPUTS and ``more``; returns the ``arguments``."""
     wanted = {name: getattr(arguments, name, None) for name in OUTPUTS}
@@ -149,7 +157,7 @@ def check_outputs(arguments: argparse.Namespace, *more: str) -> argparse.Namespa
         given = getattr(arguments, name, None) or []
         inputs += [given] if isinstance(given, str) else given
     outputs.check(paths, inputs)
-    outputs.check_figure(wanted["figure"])
+    check_figure(wanted["figure"])
     return arguments
 
 
@@ -225,6 +233,16 @@ def deliver(arguments: argparse.Namespace, path: str, content: str | bytes) -> N
     """Write ``content`` to the file ``path``, whole or not at all, and say so. Raises OSError."""
     outputs.write(path, content)
     wrote(arguments, path)
+
+
+def csv_text(columns: Mapping[str, Any], form: str) -> str:
+    """CSV text of ``columns`` (arrays of one length, by name), numbers in the ``form`` such as %.10g."""
+    import numpy as np
+
+    stream = io.StringIO()
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(stream, rows, delimiter=",", header=",".join(columns), comments="", fmt=form)
+    return stream.getvalue()
 
 
 def tell_notes(notes: Sequence[str]) -> None:

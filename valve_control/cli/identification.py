@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control import outputs
 from valve_control.cli.common import (
     WITH_BAG,
     bag_options,
     changes_of,
+    check_figure,
     check_outputs,
     deliver,
     load,
@@ -107,7 +107,7 @@ def _identify(arguments: argparse.Namespace) -> int:
     drawings = [path for path in arguments.characteristic if path not in tables]
     check_outputs(arguments, *arguments.characteristic)
     for path in drawings:
-        outputs.check_figure(path)
+        check_figure(path)
     if arguments.data_sheet == []:
         say(arguments, "\n".join(row.described for row in datasheet.SHEET))
         write_json(arguments, {row.name: row.described for row in datasheet.SHEET})

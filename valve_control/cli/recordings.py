@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control import outputs
 from valve_control.cli.common import (
     Parser,
     bag_options,
     changes_of,
     check_outputs,
+    csv_text,
     deliver,
     law_option,
     load,
@@ -115,7 +115,7 @@ def _analyze(arguments: argparse.Namespace) -> None:
 
 def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> dict[str, str]:
     """Texts by path: one file, or one for each of several valves."""
-    from valve_control.recordings.analysis_report import csv_text
+    from valve_control.recordings.analysis_report import aligned_csv
 
     if path is None:
         return {}
@@ -123,9 +123,9 @@ def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> dict[str
     if not usable:
         raise BagError("there is nothing for --csv: no valve has readings that can be aligned")
     if len(usable) == 1:
-        return {path: csv_text(*usable.values())}
+        return {path: aligned_csv(*usable.values())}
     stem, ending = Path(path).with_suffix(""), Path(path).suffix
-    return {f"{stem}_{name.replace('/', '_')}{ending}": csv_text(s) for name, s in usable.items()}
+    return {f"{stem}_{name.replace('/', '_')}{ending}": aligned_csv(s) for name, s in usable.items()}
 
 
 def _replay(arguments: argparse.Namespace) -> int:
@@ -143,7 +143,7 @@ def _replay(arguments: argparse.Namespace) -> int:
         result = shadow.replay(found.valve, changes["controller"], bar.update)
     result = result._replace(left_out=[*left_out, *result.left_out])
     report = replay_report.of_shadow(result, arguments.bag, found.valve.name)
-    csv_files = {} if arguments.csv is None else {arguments.csv: outputs.csv_text(report.columns, "%.17g")}
+    csv_files = {} if arguments.csv is None else {arguments.csv: csv_text(report.columns, "%.17g")}
     _deliver(arguments, report, csv_files)
     return 0
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from valve_control import outputs
 from valve_control.axis.tables import ROS_NODES
 from valve_control.cli.common import (
     SEED,
@@ -20,6 +19,7 @@ from valve_control.cli.common import (
     Parser,
     bag_options,
     changes_of,
+    csv_text,
     deliver,
     law_option,
     load,
@@ -284,7 +284,7 @@ def _traces(arguments: argparse.Namespace, run: offline.Run) -> None:
     columns = {name: getattr(run, name) for name in ("time", "command", *closed_loop.SIGNALS)}
     columns |= {f"{run.controller}.{n}" if n in columns else n: row for n, row in run.terms.items()}
     if arguments.csv is not None:
-        deliver(arguments, arguments.csv, outputs.csv_text(columns, "%.10g"))
+        deliver(arguments, arguments.csv, csv_text(columns, "%.10g"))
     if arguments.npz is not None:
         stream = io.BytesIO()
         np.savez_compressed(stream, allow_pickle=False, **columns)

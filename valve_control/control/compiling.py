@@ -14,6 +14,7 @@ import hashlib
 import importlib.util
 import os
 import re
+import sys
 import tempfile
 import traceback
 import types
@@ -67,6 +68,7 @@ def _numba() -> Any:
     could silently run an old law.
     """
     import numba
+    from numba.core import boxing, pythonapi
 
     home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     folder = home / PACKAGE / sources_digest()
@@ -77,7 +79,31 @@ def _numba() -> Any:
     numba.config.CACHE_DIR = str(folder)
     # The refusal that follows it says what is wrong.
     warnings.filterwarnings("ignore", category=numba.core.errors.NumbaTypeSafetyWarning)
+    pythonapi._boxers.functions[numba.types.NamedTuple] = functools.partial(_record, boxing)
     return numba
+
+
+def _record(boxing: Any, kind: Any, value: Any, c: Any) -> Any:
+    """Make the record of ``kind`` that a compiled function returns, without a step in Python.
+
+    numba calls the record's class and does not look whether it raised. Ctrl-C during a compiled function is
+    raised exactly there, and ended the process with a segmentation fault.
+    """
+    record: Any = kind.instance_class
+    api = c.pyapi
+    if getattr(sys.modules.get(record.__module__), record.__name__, None) is not record:
+        return boxing.box_namedtuple(kind, value, c)  # not found by its name
+    parts = []
+    for module, *path in (("builtins", "tuple", "__new__"), (record.__module__, record.__name__)):
+        found = api.import_module(c.context.insert_const_string(api.module, module))
+        for name in path:
+            found = api.object_getattr_string(found, name)
+        parts.append(found)
+    made, values = parts[0], boxing.box_tuple(kind, value, c)
+    result = api.call_function_objargs(made, (parts[1], values))
+    for used in (*parts, values):
+        api.decref(used)
+    return result
 
 
 def compile_function(

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -20,7 +21,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from valve_control import inputs, outputs, parameter
+from valve_control import outputs, parameter
 from valve_control.control.laws.registry import LAWS, REFUSED
 from valve_control.control.parameters import arguments, build, ros_file
 from valve_control.control.parameters.controller import CONTROLLER
@@ -403,7 +404,7 @@ class Controller(Managed):
     def _on_save(self, request: Any, response: Any) -> Any:
         name = self._save_file()
         with self._answering(response, f"{name} cannot be written"):
-            path = inputs.expanded(name, "save_file").absolute()
+            path = Path(os.path.expanduser(name)).absolute()
             ros_file.save(path, self.get_fully_qualified_name(), self._supervisor.present_values())
             response.message = f"wrote {outputs.shown(path)}"
         return response
@@ -411,7 +412,7 @@ class Controller(Managed):
     def _on_load(self, request: Any, response: Any) -> Any:
         with self._answering(response, "no parameter changed"):
             name = word(self._values, "load_file") or self._save_file()
-            path = inputs.expanded(name, "parameter file").absolute()
+            path = Path(os.path.expanduser(name)).absolute()
             values = arguments.addressed(str(path), self.get_fully_qualified_name(), self.table)
             changes = {n: value for n, value in values.items() if value != self._settings.values[n]}
             if changes:

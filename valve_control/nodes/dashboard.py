@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the node `dashboard`: a page in the browser, on this machine only, that shows and tunes all valves."""
 
+import os
 import secrets
 import sys
 import time
@@ -9,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +30,6 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from valve_control.control.parameters.table import DASHBOARD
 from valve_control.dashboard.machine import RESTING, Answer, Machine
 from valve_control.dashboard.valve import NodeState, Valve
-from valve_control.inputs import expanded
 from valve_control.nodes.adapter import (
     EVERYTHING,
     NumberSubscription,
@@ -259,7 +260,7 @@ class Dashboard(Worker):
                 "pip install 'valve_control[dashboard]'"
             ) from error
         token = word(self._values, "token") or secrets.token_urlsafe(9)
-        folder = expanded(word(self._values, "folder"), "folder").absolute()
+        folder = Path(os.path.expanduser(word(self._values, "folder"))).absolute()
         try:
             self._server = Server(self.machine, int(number(self._values, "port")), token, folder)
         except PortTaken as error:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the node `recorder`: writes topics and parameters of the cascade into a bag that survives kills."""
 
+import os
 import re
 import sys
 import time
@@ -19,7 +20,6 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 
 from valve_control import outputs, parameter
 from valve_control.control.parameters.table import RECORDER
-from valve_control.inputs import expanded
 from valve_control.nodes.adapter import (
     EVERYTHING,
     Diagnostics,
@@ -82,8 +82,7 @@ def settings(values: Values) -> Settings:
             patterns.append(re.compile(text))
         except re.error as error:
             raise ParameterError(f"topics has '{text}', which is no regular expression: {error}") from error
-    bag = word(values, "bag")
-    folder = expanded(bag, "bag") if bag else Path(time.strftime("valve_bag_%Y%m%d_%H%M%S"))
+    folder = Path(os.path.expanduser(word(values, "bag")) or time.strftime("valve_bag_%Y%m%d_%H%M%S"))
     return Settings(folder, storage, patterns, bool(chosen))
 
 

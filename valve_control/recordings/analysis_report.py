@@ -133,14 +133,13 @@ def _timing_row(part: str, entry: Timing) -> list[str]:
     return [part, str(entry.messages), f"{entry.rate_hz:.2f}", *intervals, lost]
 
 
-def csv_text(signals: Aligned) -> str:
+def aligned_csv(signals: Aligned) -> str:
     """Aligned signals of one valve, one reading a line."""
     s = signals
     columns = (s.time, s.stamp, s.command, s.measurement, s.measurement - s.command, s.voltage)
     rows = zip(*(column.tolist() for column in columns), strict=True)
-    head = "time_s,stamp_ns,command_V,measurement_V,error_V,voltage_V\n"
     form = "%.9f,%d,%.17g,%.17g,%.17g,%.17g\n"
-    return head + "".join(form % row for row in rows)
+    return "time_s,stamp_ns,command_V,measurement_V,error_V,voltage_V\n" + "".join(form % r for r in rows)
 
 
 def _valve_sections(name: str, valve: ValveAnalysis) -> dict[str, list[Piece]]:

@@ -69,13 +69,12 @@ def indices(
         )
     last = max(1, min(len(error), recent))
     u_rms = rms(voltage)
-    variation = rms(steps) if len(steps) else 0.0
     return Indices(
         e_M=float(np.max(np.abs(error))),
         e_F=float(np.max(np.abs(error[-last:]))),
         e_rms=rms(error),
         u_rms=u_rms,
-        c_u=variation / u_rms if u_rms > 0.0 else 0.0,
+        c_u=(rms(steps) if len(steps) else 0.0) / u_rms if u_rms > 0.0 else 0.0,
     )
 
 

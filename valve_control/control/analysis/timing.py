@@ -66,10 +66,10 @@ def timing(time: Integers, sequence: Integers) -> Timing:
         return Timing(len(time), np.nan, np.nan, spread(intervals), 0, np.nan, None)
     period = float(np.median(intervals))
     # A pause, or a clock that was set forward, is no slower rate; lost readings are.
-    numbers = np.diff(sequence) if lost_messages(sequence) is not None else np.ones(len(intervals))
+    lost = lost_messages(sequence)
+    numbers = np.ones(len(intervals)) if lost is None else np.diff(sequence)
     paused = (intervals > PAUSE * period) & (numbers * period < 0.5 * intervals)
     span = float(time[-1] - time[0]) * 1e-9 - float(np.sum(intervals[paused] - period))
-    lost = lost_messages(sequence)
     if lost is not None and (len(time) + lost - APART) * period > MOST_SENT * span:
         lost = None  # more than were sent: the numbers count something else too
     return Timing(
@@ -129,8 +129,7 @@ def true_period(time: Integers, sequence: Integers) -> float:
     """
     if len(time) < LEAST:
         return np.nan
-    numbered = lost_messages(sequence) is not None
-    slopes = _slopes(time, sequence, APART) if numbered else _slopes_without_gaps(time)
+    slopes = _slopes_without_gaps(time) if lost_messages(sequence) is None else _slopes(time, sequence, APART)
     slopes = slopes[np.isfinite(slopes)]
     period = float(np.median(slopes)) if len(slopes) else 0.0
     return period if period > 0.0 else np.nan

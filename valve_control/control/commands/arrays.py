@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from valve_control import inputs
 from valve_control.arrays import Floats
 from valve_control.control.commands import scenarios
 from valve_control.parameter import ParameterError
@@ -33,7 +32,6 @@ def read(path: str) -> Floats:
     """One column of commands [V] from a CSV or NPY file. Raises ParameterError."""
     if not path:
         raise ParameterError("scenario 'array' needs command_file, a CSV or NPY file")
-    inputs.check(path, "command file")
     try:
         if Path(path).suffix == ".npy":
             array: npt.NDArray[Any] = np.load(path, allow_pickle=False)

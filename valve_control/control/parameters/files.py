@@ -5,9 +5,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from valve_control import inputs
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.parameters.ros_file import from_yaml, is_of_ros, sections
+from valve_control.control.parameters.ros_file import from_yaml, is_of_ros, parsed, sections
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Table, Value, Values, lookup, missing
 
@@ -118,7 +117,7 @@ def parse_setting(text: str, nodes: Mapping[str, Table] = NODES) -> tuple[str, d
     if isinstance(default, str):
         return name, _by_node(nodes, name, word.strip())
     try:
-        value = inputs.from_yaml(word)
+        value = parsed(word)
     except ValueError as error:
         raise ParameterError(f"'{word}' of --set {name} is not a value") from error
     if isinstance(default, float) and type(value) is int:

@@ -67,10 +67,8 @@ class Plan(NamedTuple):
 
 def check(plan: Plan, values: Values) -> None:
     """Raise ParameterError unless ``plan`` fits a controller with these ``values``."""
-    u_max, most = (
-        number(values, "u_max"),
-        min(number(values, name) for name in ("lvdt.limit", "command_limit")),
-    )
+    u_max = number(values, "u_max")
+    most = min(number(values, name) for name in ("lvdt.limit", "command_limit"))
     if not 0.1 <= plan.limits.voltage <= u_max:
         raise ParameterError(
             f"--max-voltage is {plan.limits.voltage:g} V; it must lie between 0.1 V and u_max, {u_max:g} V"

@@ -16,8 +16,9 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from valve_control import interrupts, priority
+from valve_control import interrupts
 from valve_control.control.analysis.timing import Spread, spread
+from valve_control.design import priority
 from valve_control.design.commissioning import courses, evaluation, gains, model, plant
 from valve_control.design.commissioning.bench import Bench, Course, Fault, Mark, Pause, Plan, Record, Swings
 from valve_control.design.commissioning.evaluation import Rest, Static

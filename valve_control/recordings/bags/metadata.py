@@ -10,7 +10,8 @@ import yaml
 from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 
-from valve_control import inputs, outputs
+from valve_control import outputs
+from valve_control.control.parameters.ros_file import parsed
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.messages import Topic
 
@@ -69,7 +70,7 @@ def of_file(
                     "name": topic.name,
                     "type": topic.type,
                     "serialization_format": topic.encoding,
-                    "offered_qos_profiles": inputs.from_yaml(topic.qos) if topic.qos else [],
+                    "offered_qos_profiles": parsed(topic.qos) if topic.qos else [],
                     "type_description_hash": topic.type_hash,
                 },
                 "message_count": count,
@@ -92,7 +93,7 @@ def read(folder: Path) -> Listing:
     """Listing of the bag in ``folder``, of any version. Raises BagError."""
     path = folder / NAME
     try:
-        bag = inputs.from_yaml(path.read_text(encoding="utf-8"))[ROOT]
+        bag = parsed(path.read_text(encoding="utf-8"))[ROOT]
         mode = str(bag.get("compression_mode", "")).lower()
         listing = Listing(
             version=int(bag["version"]),

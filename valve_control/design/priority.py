@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TypeVar
 
 LOOPS = ("controller", "valve_driver", "valve_simulator", "manifold")  # nodes that a busy core delays
-WORDS = 3  # of a command line, among which the name of a node is: interpreter, -m, module
 T = TypeVar("T")
 
 
@@ -45,44 +44,30 @@ def loop_runs() -> bool:
     """Whether a control loop of this package runs on this host, as far as /proc shows it."""
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         with suppress(OSError):
-            words = path.read_bytes().decode(errors="replace").split("\0")[:WORDS]
+            words = path.read_bytes().decode(errors="replace").split("\0")
             if any(word.rpartition("/")[2].removeprefix("valve_control.nodes.") in LOOPS for word in words):
                 return True
     return False
-
-
-class Stopped(Exception):
-    """Ends a search whose caller has ended."""
 
 
 def in_background(work: Callable[[Callable[..., None]], T], told: Callable[..., None]) -> T:
     """Return what ``work`` returns, computed in a thread that yields the cores.
 
     ``work`` gets a function that reports progress; ``told`` is called with each report in the thread of the
-    caller. An exception of ``told``, or a signal, is raised here at once. ``work`` ends at its next report.
-    Raises what ``work`` raises.
+    caller. An exception of ``told``, or a signal, is raised here at once. Raises what ``work`` raises.
     """
     reports: queue.SimpleQueue[tuple[object, ...] | None] = queue.SimpleQueue()
-    ended = threading.Event()
     future: Future[T] = Future()
-
-    def report(*progress: object) -> None:
-        if ended.is_set():
-            raise Stopped
-        reports.put(progress)
 
     def run() -> None:
         _yield_thread()
         try:
-            future.set_result(work(report))
+            future.set_result(work(lambda *progress: reports.put(progress)))
         except BaseException as error:
             future.set_exception(error)
         reports.put(None)
 
     threading.Thread(target=run, name="search", daemon=True).start()
-    try:
-        while (progress := reports.get()) is not None:
-            told(*progress)
-    finally:
-        ended.set()
+    while (progress := reports.get()) is not None:
+        told(*progress)
     return future.result()
