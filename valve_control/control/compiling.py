@@ -89,18 +89,17 @@ def _record(boxing: Any, kind: Any, value: Any, c: Any) -> Any:
     numba calls the record's class and does not look whether it raised. Ctrl-C during a compiled function is
     raised exactly there, and ended the process with a segmentation fault.
     """
-    record: Any = kind.instance_class
-    api = c.pyapi
-    if getattr(sys.modules.get(record.__module__), record.__name__, None) is not record:
-        return boxing.box_namedtuple(kind, value, c)  # not found by its name
-    parts = []
+    record, api, parts = kind.instance_class, c.pyapi, []
+    if vars(sys.modules.get(record.__module__, types)).get(record.__name__) != record:
+        return boxing.box_namedtuple(kind, value, c)  # its name does not lead to it
     for module, *path in (("builtins", "tuple", "__new__"), (record.__module__, record.__name__)):
         found = api.import_module(c.context.insert_const_string(api.module, module))
         for name in path:
-            found = api.object_getattr_string(found, name)
+            above, found = found, api.object_getattr_string(found, name)
+            api.decref(above)
         parts.append(found)
-    made, values = parts[0], boxing.box_tuple(kind, value, c)
-    result = api.call_function_objargs(made, (parts[1], values))
+    values = boxing.box_tuple(kind, value, c)
+    result = api.call_function_objargs(parts[0], (parts[1], values))
     for used in (*parts, values):
         api.decref(used)
     return result
