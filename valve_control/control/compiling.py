@@ -14,7 +14,6 @@ import hashlib
 import importlib.util
 import os
 import re
-import sys
 import tempfile
 import traceback
 import types
@@ -79,7 +78,8 @@ def _numba() -> Any:
     numba.config.CACHE_DIR = str(folder)
     # The refusal that follows it says what is wrong.
     warnings.filterwarnings("ignore", category=numba.core.errors.NumbaTypeSafetyWarning)
-    pythonapi._boxers.functions[numba.types.NamedTuple] = functools.partial(_record, boxing)
+    for kind in (numba.types.NamedTuple, numba.types.NamedUniTuple):
+        pythonapi._boxers.functions[kind] = functools.partial(_record, boxing)
     return numba
 
 
@@ -89,19 +89,11 @@ def _record(boxing: Any, kind: Any, value: Any, c: Any) -> Any:
     numba calls the record's class and does not look whether it raised. Ctrl-C during a compiled function is
     raised exactly there, and ended the process with a segmentation fault.
     """
-    record, api, parts = kind.instance_class, c.pyapi, []
-    if vars(sys.modules.get(record.__module__, types)).get(record.__name__) != record:
-        return boxing.box_namedtuple(kind, value, c)  # its name does not lead to it
-    for module, *path in (("builtins", "tuple", "__new__"), (record.__module__, record.__name__)):
-        found = api.import_module(c.context.insert_const_string(api.module, module))
-        for name in path:
-            above, found = found, api.object_getattr_string(found, name)
-            api.decref(above)
-        parts.append(found)
+    constants = map(c.env_manager.add_const, (tuple.__new__, kind.instance_class))
+    new, record = map(c.env_manager.read_const, constants)
     values = boxing.box_tuple(kind, value, c)
-    result = api.call_function_objargs(parts[0], (parts[1], values))
-    for used in (*parts, values):
-        api.decref(used)
+    result = c.pyapi.call_function_objargs(new, (record, values))
+    c.pyapi.decref(values)
     return result
 
 
