@@ -155,7 +155,7 @@ FAULTS = (
           FLIPPED, FEEDBACK),
     Fault("lvdt_flipped_ahead", "valve_simulator", "fault.lvdt", "flipped", 3000, "safe", "wrong sign",
           2.0 / FREQUENCY + FLIPPED, FORWARD),
-    Fault("lvdt_half", "valve_simulator", "fault.lvdt", "half", 1500, "safe", "gain about 0.5",
+    Fault("lvdt_half", "valve_simulator", "fault.lvdt", "half", 3000, "safe", "disagree with the voltage",
           SILENT, CONTROLLERS),
     Fault("lvdt_publishers", "others", "spool_position", "rival", 700, "reported",
           "publishers on spool_position", 0.5 + ALLOWANCE, CONTROLLERS),
