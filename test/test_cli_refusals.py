@@ -221,8 +221,8 @@ COUNTS = {
     "tune": "valves unseen budget threads",
 }
 ENDINGS = {"figure": "png", "json": "json", "html": "html", "csv": "csv", "npz": "npz", "output": "yaml"}
-FILES = ("missing", "folder", "bad.yaml", "empty.yaml", "binary.yaml", "list.yaml", "words.csv", "/dev/zero")
-ARRAYS = ("missing.csv", "folder", "words.csv", "empty.csv", "nan.csv", "plane.npy", "/dev/zero", "")
+FILES = ("missing", "folder", "bad.yaml", "empty.yaml", "binary.yaml", "list.yaml", "words.csv")
+ARRAYS = ("missing.csv", "folder", "words.csv", "empty.csv", "nan.csv", "plane.npy", "")
 SETTINGS = ("x", "=", "x=1", "lvdt.noise", "lvdt.noise=", "lvdt.noise=nan", "lvdt.noise=-1", "lvdt.noise=[1")
 SETTINGS += ("numerator=[1]x", "numerator=[.nan]", "seed=1.5", "valve=steam")
 MAPS = ("spool_position", "x=/y", "spool_position=", "=", "spool_position=/a*b", "spool_position=/none.none")
