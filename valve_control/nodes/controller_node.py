@@ -222,7 +222,7 @@ class Controller(Managed):
             self._take_commands()
             if self._pace is not None:
                 self._pace = rate.interrupted(self._pace)
-            voltage = self._supervisor.silence(self._elapsed(now), self._catching_up)
+            voltage = self._supervisor.silence(self._lap(now), self._catching_up)
             if self._supervisor.begun:
                 self._publish(voltage)
             self._watch_at = now + REMIND
@@ -233,22 +233,6 @@ class Controller(Managed):
         """Whether this process stood still until ``now`` [s], so that it did not look in time."""
         return stood_still(self._watch_at, now)
 
-    def report(self) -> None:
-        """Publish telemetry, and diagnostics if something has changed."""
-        self._telemetry.publish()
-        self._journal_topics.publish_many()
-        supervisor = self._supervisor
-        if self.working and supervisor.memory.changed and self._may_tell(supervisor.mode is Mode.SAFE):
-            self._announce()
-
-    def _may_tell(self, safe: bool, of: str = "supervisor") -> bool:
-        """Whether it is time to tell a change ``of`` something; if it is, it counts as told."""
-        now = time.monotonic()
-        if now < self._announced.get(of, -NEVER) + QUIET and not safe:
-            return False
-        self._announced[of] = now
-        return True
-
     def _answer(self, reading: float, info: dict[str, Any]) -> None:
         began = time.monotonic()
         number = number_of(info)
@@ -257,7 +241,7 @@ class Controller(Managed):
             self.get_logger().warning(UNKNOWN)
         if not self._in_lockstep:
             self._take_commands()
-        if self._pace is not None and self._awaits_period(self._pace, number, began):
+        if self._pace is not None and not self._measure_period(self._pace, number, began):
             return
         # What was sent while this process stood still comes in a burst afterwards and is stale.
         if self._stood_still(began):
@@ -266,9 +250,9 @@ class Controller(Managed):
             arrivals = self._timing.arrivals
             self._catching_up = bool(arrivals) and began - arrivals[-1] < 0.5 * self._period
         if self._catching_up:
-            self._publish(self._supervisor.skip(reading, number, self._elapsed(began)))
+            self._publish(self._supervisor.skip(reading, number, self._lap(began)))
         else:
-            elapsed = self._elapsed(began)
+            elapsed = self._lap(began)
             self._supervisor.sample(reading, number, 0.0 if self._in_lockstep else elapsed, self._publish)
         ended = time.monotonic()
         latency = (self._published - info["source_timestamp"]) * 1e-9
@@ -279,23 +263,23 @@ class Controller(Managed):
             self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
         self._telemetry.note(self._supervisor)
 
-    def _awaits_period(self, before: rate.State, number: int, now: float) -> bool:
-        """Whether reading ``number`` at ``now`` [s] is not used: a first voltage needs the right period."""
+    def _measure_period(self, before: rate.State, number: int, now: float) -> bool:
+        """Count reading ``number`` at ``now`` [s] for the period; whether that is right for a first voltage."""
         expected = self._supervisor.params.lvdt.pace
         periods = max(1, number - self._last_number) if self._last_number else 1
         self._last_number = number
-        pace = rate.step(expected, before, self._elapsed(now), periods)
+        pace = rate.step(expected, before, self._lap(now), periods)
         self._watch_at = now + self._hold * self._period
         if rate.is_right(expected, pace):
             self._pace, self._last_number = None, 0
-            return False
+            return True
         self._pace = pace
         if pace.level == 2 and before.level < 2:
             self._supervisor.observe("lvdt_missing", rate.text(expected, pace))
-        return True
+        return False
 
-    def _elapsed(self, now: float) -> float:
-        """Time [s] since the last call."""
+    def _lap(self, now: float) -> float:
+        """Time [s] from the last call to this one, at ``now`` [s]."""
         elapsed, self._seen = now - self._seen, now
         return elapsed
 
@@ -424,6 +408,22 @@ class Controller(Managed):
         return response
 
     # What is said
+
+    def report(self) -> None:
+        """Publish telemetry, and diagnostics if something has changed."""
+        self._telemetry.publish()
+        self._journal_topics.publish_many()
+        supervisor = self._supervisor
+        if self.working and supervisor.memory.changed and self._may_tell(supervisor.mode is Mode.SAFE):
+            self._announce()
+
+    def _may_tell(self, safe: bool, of: str = "supervisor") -> bool:
+        """Whether it is time to tell a change ``of`` something; if it is, it counts as told."""
+        now = time.monotonic()
+        if now < self._announced.get(of, -NEVER) + QUIET and not safe:
+            return False
+        self._announced[of] = now
+        return True
 
     def _announce(self) -> None:
         """Log a change of mode or reason once, and publish it at once."""
