@@ -17,6 +17,8 @@ from valve_control.export.terms import ARGUMENTS, LIBRARY, Function
 from valve_control.parameter import ParameterError
 
 WIDTH = 110
+# Words of files in names in C, where they are others than those of the files: published names stay.
+IN_C = {"binding": "watch", "lvdt_trust": "lvdt_watch", "saturation": "amplifier"}
 _HELPERS = {
     "least": """/* min of Python: the first unless b < a. */
 static {real} {prefix}_least({real} a, {real} b)
@@ -86,7 +88,8 @@ class Program:
 
     def scope(self, module: str) -> str:
         """Beginning of the names of what is in ``module``."""
-        return self.prefix if module == self._own else f"{self.prefix}_{identifier(module.split('.')[-1])}"
+        file = module.split(".")[-1]
+        return self.prefix if module == self._own else f"{self.prefix}_{identifier(IN_C.get(file, file))}"
 
     def type_name(self, kind: Kind) -> str:
         """C type of ``kind``, defined if need be. Raises TypeError for a field that C cannot have."""

@@ -264,7 +264,7 @@ class Controller(Managed):
         self._telemetry.note(self._supervisor)
 
     def _measure_period(self, before: rate.State, number: int, now: float) -> bool:
-        """Count reading ``number`` at ``now`` [s] for the period; whether that is right for a first voltage."""
+        """Measure the period with reading ``number`` at ``now`` [s]; whether a first voltage may follow."""
         expected = self._supervisor.params.lvdt.pace
         periods = max(1, number - self._last_number) if self._last_number else 1
         self._last_number = number

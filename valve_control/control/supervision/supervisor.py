@@ -25,8 +25,9 @@ from valve_control.control.laws import linearisation
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.projection import clip
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 from valve_control.control.supervision import (
+    binding,
     bumpless_transfer,
     control_step,
     law_watch,
@@ -144,7 +145,7 @@ class Supervisor:
         same_reference = before is not None and before.reshapes(former)
         if law is not before or line != self._form[2]:
             own = {"hand_out": self._hand_out, "observe": self._observe}
-            self._steps = control_step.with_places({**control_step.places_of(law, line), **own})
+            self._steps = binding.with_places({**binding.places_of(law, line), **own})
             self._sample = self._steps.sample  # control_step.sample, with the functions of this law
         self._descriptor = law
         self._form = form
