@@ -421,8 +421,9 @@ def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown)
     """Let the watches of the table look at a block, at whose end ``applied`` [V] is on; it has ``shown``."""
     command = m.effective if math.isfinite(m.effective) else 0.0
     last, doubted = m.judged.standing, m.trust.doubt.times > 0.0
-    seen = plausibility.SeenBlock(last.second, last.grain, applied, doubted, shown, command)
-    reported_of(p.watches, m, seen)
+    motion = shown.y3, shown.velocity, shown.u4, shown.warm == 0.0
+    block = plausibility.Block(*motion, doubted, command, applied, last.second, last.grain)
+    reported_of(p.watches, m, block)
 
 
 @node_only

@@ -168,11 +168,11 @@ def forget_saturation(m: Memory) -> None:
 
 
 @node_only
-def reported_of(p: Any, m: Memory, seen: plausibility.SeenBlock) -> None:
+def reported_of(p: Any, m: Memory, block: plausibility.Block) -> None:
     """Let the watches that only report look at a block; ``p``: Params of the watches beside the check."""
     for slot, name, step, text in _REPORTING:
         params = getattr(p, slot)
-        state = step(params, getattr(m, slot), seen)
+        state = step(params, getattr(m, slot), block)
         setattr(m, slot, state)
         told = text(params, state)
         if told == "":
