@@ -80,9 +80,9 @@ class Controller(Managed):
         self._said: tuple[Mode, str] | None = None
         self._announced: dict[str, float] = {}  # s, when a change was last told, by source
         self._lockstep: Lockstep | None = None
-        self._watch_at = NEVER
-        self._catching_up = False
-        self._alone, self._look_at = alone, NEVER
+        self._silent_at = NEVER  # s, from when on the LVDT counts as silent
+        self._catching_up = False  # whether readings of a standstill come in a burst
+        self._alone, self._commands_at = alone, NEVER  # s, when commands are taken for the next reading
         self._seen = 0.0  # s, last reading or silence
         self._pace: rate.State | None = None  # of the readings before the first that is used
         self._last_number = 0  # of a reading before the first that is used
@@ -161,7 +161,7 @@ class Controller(Managed):
         self._journal_topics.publish()
         self._said = None
         self._seen = time.monotonic()
-        self._watch_at = NEVER if self._in_lockstep else self._seen + REMIND
+        self._silent_at = NEVER if self._in_lockstep else self._seen + REMIND
         self._pace = None if self._in_lockstep else rate.UNKNOWN
         self._catching_up = False
         self._timing.clear()
@@ -176,7 +176,7 @@ class Controller(Managed):
         self._publish(self._supervisor.stop())
         self._rivals.listen(False, self._period)
         self._journal_topics.publish()
-        self._watch_at = NEVER
+        self._silent_at = NEVER
         self.get_logger().info("inactive, 0 V")
 
     def deliver(self) -> None:
@@ -198,7 +198,7 @@ class Controller(Managed):
     def due(self) -> float:
         """Next time [s] to act without a message: LVDT silent, commands, lockstep check."""
         look_at = NEVER if self._lockstep is None else self._lockstep.look_at
-        return min(self._watch_at, self._look_at, look_at) if self.working else NEVER
+        return min(self._silent_at, self._commands_at, look_at) if self.working else NEVER
 
     def work(self) -> bool:
         """Answer each waiting reading, or take commands for the next; without one in time, switch off."""
@@ -214,10 +214,10 @@ class Controller(Managed):
             self._answer(reading, info)
             worked = True
         now = time.monotonic()
-        if self._look_at <= now < self._watch_at and not worked:
-            self._look_at = NEVER
+        if self._commands_at <= now < self._silent_at and not worked:
+            self._commands_at = NEVER
             self._take_commands()
-        if now >= self._watch_at and not worked:
+        if now >= self._silent_at and not worked:
             self._catching_up = self._stood_still(now)
             self._take_commands()
             if self._pace is not None:
@@ -225,13 +225,13 @@ class Controller(Managed):
             voltage = self._supervisor.silence(self._lap(now), self._catching_up)
             if self._supervisor.begun:
                 self._publish(voltage)
-            self._watch_at = now + REMIND
+            self._silent_at = now + REMIND
             worked = True
         return worked
 
     def _stood_still(self, now: float) -> bool:
         """Whether this process stood still until ``now`` [s], so that it did not look in time."""
-        return stood_still(self._watch_at, now)
+        return stood_still(self._silent_at, now)
 
     def _answer(self, reading: float, info: dict[str, Any]) -> None:
         began = time.monotonic()
@@ -259,8 +259,8 @@ class Controller(Managed):
         self._timing.note(began, ended, latency, self._period)
         if not self._in_lockstep:
             if self._alone:
-                self._look_at = began + LOOK * self._period
-            self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
+                self._commands_at = began + LOOK * self._period
+            self._silent_at = began + (self._hold - self._supervisor.bridged) * self._period
         self._telemetry.note(self._supervisor)
 
     def _measure_period(self, before: rate.State, number: int, now: float) -> bool:
@@ -269,7 +269,7 @@ class Controller(Managed):
         periods = max(1, number - self._last_number) if self._last_number else 1
         self._last_number = number
         pace = rate.step(expected, before, self._lap(now), periods)
-        self._watch_at = now + self._hold * self._period
+        self._silent_at = now + self._hold * self._period
         if rate.is_right(expected, pace):
             self._pace, self._last_number = None, 0
             return True
