@@ -10,7 +10,8 @@ degraded  the law has the valve, but something is reported: a silent or refused 
 safe      0 V: the LVDT is implausible, the law gave NaN or infinity, or even cycles reach ±u_max.
 
 The steps are in control_step.py, functions on one memory (record.py), from which exported C is made too;
-binding.py puts the functions of the law into them. Here is what only a node has: other laws and parameters, the period of the readings, counters and telemetry.
+binding.py puts the functions of the law into them. Here is what only a node has: other laws and parameters,
+the period of the readings, counters and telemetry.
 
 Time is counted in samples, so that a run is repeatable; only the silence of the LVDT, during which no sample
 comes, has to be told from outside (``silence``). Each input is noted with its answer (journal.py).
