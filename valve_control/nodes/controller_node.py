@@ -123,8 +123,8 @@ class Controller(Managed):
         self._paced = parameter.number(values, "lvdt.period_limit") < rate.ANY
         self._journal_topics.period = parameter.number(values, "memory_period")
         self._in_lockstep = values["lockstep"] is True
-        # Half a period more than the last reading that may still come in time.
-        self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
+        # Periods: half of one more than the last reading that may still come in time.
+        self._silent_after = 1.5 + parameter.number(values, "lvdt.hold_samples")
         every = int(parameter.number(values, "state_decimation"))
         self._telemetry.apply(self._supervisor.labels(), every)
         self._unchecked = True
@@ -260,7 +260,7 @@ class Controller(Managed):
         if not self._in_lockstep:
             if self._alone:
                 self._commands_at = began + LOOK * self._period
-            self._silent_at = began + (self._hold - self._supervisor.bridged) * self._period
+            self._silent_at = began + (self._silent_after - self._supervisor.bridged) * self._period
         self._telemetry.note(self._supervisor)
 
     def _measure_period(self, before: rate.State, number: int, now: float) -> bool:
@@ -269,7 +269,7 @@ class Controller(Managed):
         periods = max(1, number - self._last_number) if self._last_number else 1
         self._last_number = number
         pace = rate.step(expected, before, self._lap(now), periods)
-        self._silent_at = now + self._hold * self._period
+        self._silent_at = now + self._silent_after * self._period
         if rate.is_right(expected, pace):
             self._pace, self._last_number = None, 0
             return True
