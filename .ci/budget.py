@@ -30,7 +30,8 @@ def main() -> int:
         fits = [(len(p), room) for room in rooms for p in rooms[room]["files"] if fnmatchcase(name, p)]
         counts[max(fits)[1]] += len(path.read_bytes().splitlines())
     rest = [room for room in rooms if room != "test"]
-    excess = {room: counts[room] - row["budget"] for room, row in rooms.items() if counts[room] > row["budget"]}
+    excess = {room: lines - rooms[room]["budget"] for room, lines in counts.items()}
+    excess = {room: lines for room, lines in excess.items() if lines > 0}
     print(f"{'room':<42}{'lines':>8}{'budget':>8}{'goal':>8}")
     for room, row in rooms.items():
         over = "  over budget" if room in excess else ""

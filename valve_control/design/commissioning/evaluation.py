@@ -15,8 +15,8 @@ from valve_control.arrays import Floats
 from valve_control.control.commands import scenarios
 from valve_control.design.commissioning.bench import Record, SafetyLimits
 from valve_control.design.commissioning.courses import REACH
-from valve_control.design.identification import friction as rubbing
 from valve_control.design.identification import bode_fit, lvdt, response
+from valve_control.design.identification import friction as rubbing
 from valve_control.design.identification.bode_fit import Fit
 from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.response import Response
