@@ -23,7 +23,6 @@ def main() -> int:
         cwd=ROOT, capture_output=True, text=True, check=True,
     ).stdout.splitlines()  # fmt: skip
     counts = dict.fromkeys(rooms, 0)
-    status = 0
     for name in listed:
         path = ROOT / name
         if path.suffix not in COUNTED or not path.is_file():
@@ -31,16 +30,21 @@ def main() -> int:
         fits = [(len(p), room) for room in rooms for p in rooms[room]["files"] if fnmatchcase(name, p)]
         counts[max(fits)[1]] += len(path.read_bytes().splitlines())
     rest = [room for room in rooms if room != "test"]
+    excess = {room: lines - rooms[room]["budget"] for room, lines in counts.items()}
+    excess = {room: lines for room, lines in excess.items() if lines > 0}
     print(f"{'room':<42}{'lines':>8}{'budget':>8}{'goal':>8}")
     for room, row in rooms.items():
-        over = counts[room] > row["budget"]
-        print(
-            f"{room:<42}{counts[room]:>8}{row['budget']:>8}{row['goal']:>8}{'  over budget' if over else ''}"
-        )
-        status = status or int(over)
+        over = "  over budget" if room in excess else ""
+        print(f"{room:<42}{counts[room]:>8}{row['budget']:>8}{row['goal']:>8}{over}")
     sums = [sum(counts[room] for room in rest), *(sum(rooms[r][k] for r in rest) for k in ("budget", "goal"))]
     print(f"{'package':<42}" + "".join(f"{number:>8}" for number in sums))
-    return status
+    for room, lines in excess.items():
+        print(
+            f"{room} is {lines} lines over its budget: shorten it, or raise its budget in .ci/rooms.toml and "
+            "lower that of a room with lines left by as many, in the same commit",
+            file=sys.stderr,
+        )
+    return 1 if excess else 0
 
 
 if __name__ == "__main__":

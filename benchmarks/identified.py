@@ -26,12 +26,12 @@ from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation import batch
 from valve_control.design.identification import (
+    bode_fit,
     characteristic,
     experiment,
     first_gains,
     friction,
     lvdt,
-    rational,
     theta,
 )
 from valve_control.design.identification.experiment import Experiment
@@ -83,13 +83,13 @@ def identified(sine: Experiment, triangle: Experiment) -> tuple[Values, friction
     Raises ParameterError.
     """
     measured = experiment.estimate(sine, 0.4, None)
-    model, delay = rational.fit(measured, 2).model, 0.0
+    model, delay = bode_fit.fit(measured, 2).model, 0.0
     for _ in range(ROUNDS):
         found, _ = characteristic.friction_and_curve(triangle, friction.lag_of(model, delay))
         measured = experiment.estimate(friction.without(sine, found), 0.4, None)
-        second = best = rational.fit(measured, 2)
+        second = best = bode_fit.fit(measured, 2)
         with contextlib.suppress(ParameterError):
-            best = rational.choose(measured, order=4)
+            best = bode_fit.choose(measured, order=4)
         model, delay = best.model, best.delay
     suggested = theta.suggest(measured, second, best, U_MAX)
     known = first_gains.KnownValve(model, delay, suggested, lvdt.observe(sine.position), PERIOD, U_MAX, found)

@@ -28,7 +28,7 @@ from valve_control.control.laws import command_lead
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant import valve
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 
 Array = npt.NDArray[np.float64]
 PERIOD = 0.001  # s

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from valve_control.axis import axis, axis_pid
 from valve_control.axis.axis import opening
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 
 Array = npt.NDArray[np.float64]
 PERIOD = 1e-4  # s  of the example

@@ -14,7 +14,7 @@ from valve_control.control.analysis.figures import COLOURS, Line, Plot
 from valve_control.control.laws import design
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.design.identification import bode
-from valve_control.design.identification.rational import hold
+from valve_control.design.identification.bode_fit import hold
 from valve_control.design.identification.response import Response, find_segments, stepped
 
 Floats = npt.NDArray[np.float64]

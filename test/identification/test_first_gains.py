@@ -13,7 +13,7 @@ from valve_control.control.plant import models, valve
 from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
 from valve_control.control.plant.sensor import IDEAL
 from valve_control.control.simulation import batch
-from valve_control.design.identification import bode, first_gains, rational, theta
+from valve_control.design.identification import bode, bode_fit, first_gains, theta
 from valve_control.design.identification.lvdt import Lvdt
 from valve_control.design.identification.response import Response
 from valve_control.parameter import defaults, updated
@@ -31,7 +31,7 @@ def known(model, delay=0.0, noise=0.0056):
     f = np.geomspace(0.5, 100.0, 30)
     value = bode.held_response(model, f, PERIOD, delay)
     measured = Response(f, value, np.full(30, 1e-4), np.ones(30), PERIOD, "stepped sine", ())
-    second = rational.fit(measured, 2)
+    second = bode_fit.fit(measured, 2)
     suggested = theta.suggest(measured, second, second, U_MAX)
     return first_gains.KnownValve(model, delay, suggested, Lvdt(noise, 0.0037), PERIOD, U_MAX)
 

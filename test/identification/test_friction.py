@@ -12,11 +12,11 @@ from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant.models import FOURTH_ORDER
 from valve_control.control.simulation import batch
 from valve_control.design.identification import (
+    bode_fit,
     characteristic,
     experiment,
     first_gains,
     friction,
-    rational,
     theta,
 )
 from valve_control.design.identification.experiment import Experiment
@@ -85,9 +85,9 @@ def test_friction_taken_off_gives_the_model_back():
     assert found.presliding == pytest.approx(0.02, rel=0.05)
     missed = []
     for one in (tested, friction.without(tested, found)):
-        second = rational.fit(experiment.estimate(one, 0.4, None), 2)
+        second = bode_fit.fit(experiment.estimate(one, 0.4, None), 2)
         measured = experiment.estimate(one, 0.4, None)
-        fit = rational.fit(measured, 4)
+        fit = bode_fit.fit(measured, 4)
         missed.append(abs(fit.model.static_gain / FOURTH_ORDER.static_gain - 1.0))
     assert missed[1] < 0.01 < missed[0]
     suggested = theta.suggest(measured, second, fit, U_MAX)

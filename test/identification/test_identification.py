@@ -16,10 +16,10 @@ from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, Trans
 from valve_control.control.simulation import offline
 from valve_control.design.identification import (
     bode,
+    bode_fit,
     datasheet,
     experiment,
     lvdt,
-    rational,
     response,
     result,
     theta,
@@ -52,7 +52,7 @@ def made(model=FOURTH_ORDER, deviation=1e-4, seed=1, count=30, highest=100.0, de
 
 def test_fourth_order_comes_back_within_3_per_cent_at_5_mv_of_noise(period=0.0025):
     measured = measure(0.005, period=period)
-    fit = rational.fit(measured, 4)
+    fit = bode_fit.fit(measured, 4)
     assert np.max(np.abs(fit.values / COEFFICIENTS - 1.0)) < 0.03
     true = bode.held_response(FOURTH_ORDER, measured.frequency, period)
     chi2 = np.mean(np.abs(true - measured.value) ** 2 / measured.deviation**2) / 2.0
@@ -69,7 +69,7 @@ def test_a_record_may_begin_and_end_in_motion():
     swept, shaken = (
         experiment.simulated(defaults(CONTROLLER), defaults(VALVE), test, motion) for motion in (sweep, noise)
     )
-    fit = rational.fit(experiment.estimate(shaken, 0.4, None), 4)
+    fit = bode_fit.fit(experiment.estimate(shaken, 0.4, None), 4)
     assert np.max(np.abs(fit.values / COEFFICIENTS - 1.0)) < 1e-4
     cut = swept._replace(voltage=swept.voltage[2345:-4321], position=swept.position[2345:-4321])
     measured = experiment.estimate(cut, 0.4, None)
@@ -81,7 +81,7 @@ def test_a_record_may_begin_and_end_in_motion():
 def test_bounds_cover_the_truth():
     hits = []
     for seed in range(25):
-        fit = rational.fit(made(seed=seed), 4)
+        fit = bode_fit.fit(made(seed=seed), 4)
         assert np.max(np.abs(fit.values / COEFFICIENTS - 1.0)) < 0.2
         hits.append(np.abs(fit.values - COEFFICIENTS) <= fit.bounds)
     assert 0.88 < np.mean(hits) < 1.0 and np.min(np.mean(hits, axis=0)) > 0.75
@@ -92,7 +92,7 @@ def test_second_order_fit_of_3_lands_on_2():
     f = np.geomspace(1.0, 40.0, 40)
     value = bode.held_response(FOURTH_ORDER, f, 0.001)
     measured = Response(f, value, 1e-6 * np.abs(value), np.ones(40), 0.001, "stepped sine", ())
-    fit = rational.fit(measured, 2)
+    fit = bode_fit.fit(measured, 2)
     assert np.allclose(fit.values, [1502.057, 58.771, 1657.206], rtol=0.03)
     assert fit.model_error > 0.05
 
@@ -100,7 +100,7 @@ def test_second_order_fit_of_3_lands_on_2():
 @pytest.mark.parametrize("order", [2, 3])
 def test_an_exact_model_comes_back(order):
     model = SECOND_ORDER if order == 2 else TransferFunction((4e4, 3e6), (1.0, 120.0, 9000.0, 4e5))
-    fit = rational.fit(made(model, deviation=0.0), order)
+    fit = bode_fit.fit(made(model, deviation=0.0), order)
     assert np.allclose(fit.model.numerator, model.numerator, rtol=1e-4)
     assert np.allclose(fit.model.denominator, model.denominator, rtol=1e-4)
     assert fit.model_error < 1e-4
@@ -108,14 +108,14 @@ def test_an_exact_model_comes_back(order):
 
 @pytest.mark.parametrize("delay", [0.0007, 0.0121])
 def test_dead_time_comes_back(delay):
-    fit = rational.fit(made(deviation=1e-5, delay=delay), 4, delayed=True)
+    fit = bode_fit.fit(made(deviation=1e-5, delay=delay), 4, delayed=True)
     assert abs(fit.delay - delay) < 2e-5 and abs(fit.delay - delay) < 2.0 * fit.bounds[-1]
     assert np.allclose(fit.values[:-1], COEFFICIENTS, rtol=0.02)
 
 
 def test_dead_time_of_the_simulated_valve_comes_back():
     """Readings between two samples must lie on the valve's own path, not on a straight line."""
-    fit = rational.fit(measure(valve={"lvdt.delay": 0.0007}), 4, delayed=True)
+    fit = bode_fit.fit(measure(valve={"lvdt.delay": 0.0007}), 4, delayed=True)
     assert abs(fit.delay - 0.0007) < 1e-7
     assert np.allclose(fit.values[:-1], COEFFICIENTS, rtol=1e-4)
     assert fit.names == ("b2", "b1", "b0", "a3", "a2", "a1", "a0", "delay")
@@ -160,7 +160,7 @@ def test_transient_and_noise_are_refused():
 
 def test_suggested_theta_holds_every_second_order_model_of_the_valve():
     measured = made()
-    second, fourth = rational.fit(measured, 2), rational.fit(measured, 4)
+    second, fourth = bode_fit.fit(measured, 2), bode_fit.fit(measured, 4)
     found = theta.suggest(measured, second, fourth, 10.0)
     assert np.allclose(found.initial[:3], second.values[[1, 2, 0]], rtol=1e-4) and found.initial[3] == 0.0
     for model in ([58.771, 1657.206, 1502.057], [48.0, 1515.0, 1260.0]):
@@ -206,7 +206,7 @@ def test_under_feedback_the_command_is_the_instrument(law, hertz, damping, strok
     valve = {"natural_frequency": hertz, "damping": damping, "full_stroke": stroke}
     table = log(law, noise, valve)
     assert "depends on the reading" in experiment.excited(table).feedback
-    fit = rational.fit(experiment.estimate(experiment.excited(table), 0.4, None), 2)
+    fit = bode_fit.fit(experiment.estimate(experiment.excited(table), 0.4, None), 2)
     model = datasheet.valve(valve).known.model
     true = np.array([*model.numerator, *model.denominator[1:]])
     assert np.all(np.abs(fit.values - true) < 1.5 * fit.bounds) and np.all(fit.bounds < 0.05 * true)
@@ -243,7 +243,7 @@ def test_all_whole_stretches_of_a_test_count(first, end, numbered):
     table = whole._replace(voltage=voltage, position=position, command=command, leaps=leaps)
     measured = experiment.estimate(experiment.excited(table), 0.4, None)
     assert measured.frequency[0] < 1.0 and measured.frequency[-1] > 25.0
-    fit = rational.fit(measured, 2)
+    fit = bode_fit.fit(measured, 2)
     a0, bound = float(fit.values[-1]), float(fit.bounds[-1])
     assert abs(a0 - (2.0 * math.pi * 9.0) ** 2) < 1.5 * bound < 0.02 * a0
     assert abs(fit.corners.minus_90 - 9.0) < 0.1
@@ -252,11 +252,11 @@ def test_all_whole_stretches_of_a_test_count(first, end, numbered):
 def test_what_the_test_did_not_excite_is_not_claimed():
     """A test up to 3 Hz of a valve whose -90° lies at 6.4 Hz and its second pair of poles at 32 Hz."""
     low, whole = made(highest=3.0), made()
-    second = rational.fit(low, 2)
+    second = bode_fit.fit(low, 2)
     assert result.fit_dict(second, low)["minus_90_hz"] is None
     told = result.fit_text(second, low)
     assert "-90° at none" in told and "(not excited by the test)" in told
-    fourth = rational.fit(whole, 4)
+    fourth = bode_fit.fit(whole, 4)
     assert result.fit_dict(fourth, whole)["minus_90_hz"] == pytest.approx(6.17, rel=0.01)
     assert "not excited" not in result.fit_text(fourth, whole)
 
@@ -284,7 +284,7 @@ def with_coil(hertz, damping, lag, gain=0.85):
 @pytest.mark.parametrize("delay", [0.0, 0.0005, 0.001])
 @pytest.mark.parametrize(("hertz", "damping", "lag"), [(9.0, 0.8, 0.004), (7.0, 0.8, 0.003)])
 def test_a_coil_is_a_pole_and_not_dead_time(hertz, damping, lag, delay):
-    best = rational.choose(made(with_coil(hertz, damping, lag), delay=delay))
+    best = bode_fit.choose(made(with_coil(hertz, damping, lag), delay=delay))
     assert (best.order, len(best.model.numerator)) == (3, 1)
     assert ("delay" in best.names) == (delay > 0.0)
     assert abs(best.delay - delay) < 1e-5
@@ -302,14 +302,14 @@ def test_a_coil_is_a_pole_and_not_dead_time(hertz, damping, lag, delay):
     ],
 )
 def test_the_models_of_the_paper_keep_their_structure(model, delay, form):
-    best = rational.choose(made(model, delay=delay))
+    best = bode_fit.choose(made(model, delay=delay))
     assert (best.order, len(best.model.numerator) - 1, "delay" in best.names) == form
     assert np.allclose(best.values[: len(best.values) - form[2]][-1], model.denominator[-1], rtol=0.02)
 
 
 def test_noise_that_explains_the_second_order_ends_the_search():
     measured = made(SECOND_ORDER, deviation=1e-3)
-    assert rational.choose(measured).names == ("b0", "a1", "a0")
+    assert bode_fit.choose(measured).names == ("b0", "a1", "a0")
 
 
 @settings(max_examples=40, deadline=None)

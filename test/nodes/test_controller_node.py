@@ -112,7 +112,7 @@ def test_silence_is_answered_again_and_again(ros, monkeypatch):
         node = upper.node
         upper.sample(0.0)
         monkeypatch.setattr(controller_node, "REMIND", 0.0)
-        node._watch_at = 0.0
+        node._silent_at = 0.0
         assert node.work() and node._supervisor.mode is Mode.SAFE
         node.report()
         count = len(upper.voltages)
@@ -127,7 +127,7 @@ def test_what_waited_while_the_process_stood_still_is_not_answered_as_new(ros):
         node = upper.node
         upper.sample(0.0)
         upper.lvdt.publish(encoded(0.5))
-        node._watch_at = time.monotonic() - 1.0
+        node._silent_at = time.monotonic() - 1.0
         samples, count = node._supervisor.memory.samples, len(node._journal)
         upper.until(lambda: len(node._journal) > count, "the stale reading")
         assert node._supervisor.memory.samples == samples and node._catching_up

@@ -173,7 +173,7 @@ def test_a_wait_for_the_device_is_no_standstill_of_the_process(ros, monkeypatch)
         assert "stalled" not in valve._supervisor.conditions
     with beside(monkeypatch, Bus()) as valve:
         valve.work()
-        valve._watch_at -= 1.0  # as if it had been put aside after its sample
+        valve._silent_at -= 1.0  # as if it had been put aside after its sample
         valve.work()
         assert "stalled" in valve._supervisor.conditions
 

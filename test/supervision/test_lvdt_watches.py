@@ -59,14 +59,13 @@ def entries(p, c, ratio, frequency, friction, seconds, s=gain_watch.NOTHING):
     """States of a valve with the model's poles whose readings are ``ratio`` times the model's."""
     a1, a0, b0 = MODEL
     omega = 2.0 * math.pi * frequency
-    shown = plausibility.initial(c, 0.0, 0.0).shown
     for k in range(int(seconds / c.span)):
         t = k * c.span
         y = 2.5 * math.sin(omega * t)
         v, a = 2.5 * omega * math.cos(omega * t), -omega * omega * y
         u = (a + a1 * v + a0 * y) / b0 + math.copysign(friction, v) + 0.2
-        shown = shown._replace(y3=ratio * y, velocity=ratio * v, u4=u, warm=0.0)
-        s = gain_watch.step(p, s, plausibility.SeenBlock(0.0, 0.0, u, False, shown, 0.0))
+        motion = ratio * y, ratio * v, u, True
+        s = gain_watch.step(p, s, plausibility.Block(*motion, False, 0.0, u, 0.0, 0.0))
     return s
 
 

@@ -16,7 +16,7 @@ from valve_control.control.parameters import build, files, ros_file
 from valve_control.control.parameters.table import NODES, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.simulation import batch, robustness
-from valve_control.control.supervision import answer, lvdt, lvdt_watch, plausibility
+from valve_control.control.supervision import answer, lvdt, lvdt_trust, plausibility
 from valve_control.control.supervision.record import Mode
 from valve_control.parameter import defaults, updated
 
@@ -197,7 +197,7 @@ def recordings(law, scenario, first, count):
         traces = np.empty((len(valves), len(command), 3))
         batch.simulate(batch.Batch(law, params, rows, 1 + first + numbers, command), 1, traces)
         for _, readings, voltages in np.moveaxis(traces, 2, 1):
-            watch = lvdt_watch.design(controller, params)
+            watch = lvdt_trust.design(controller, params)
             yield watch.comparison, watch.judge, readings, voltages
 
 

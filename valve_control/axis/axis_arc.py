@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from valve_control.axis.course import Goal
 from valve_control.control.laws.projection import clip
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 
 
 class Theta(NamedTuple):

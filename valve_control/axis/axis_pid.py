@@ -13,7 +13,7 @@ from typing import NamedTuple
 from valve_control.axis.course import Goal
 from valve_control.axis.machine import Reading
 from valve_control.control.laws import velocity
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 from valve_control.parameter import Parameter, Table, Values, number
 
 

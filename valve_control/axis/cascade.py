@@ -10,7 +10,7 @@ from valve_control.axis import axis, machine
 from valve_control.axis.course import Goal
 from valve_control.control.closed_loop import Sample
 from valve_control.control.laws import command_lead, reshaping
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 
 SIGNALS = (
     "goal",  # m

@@ -47,7 +47,7 @@ from valve_control.control.simulation import delivery, offline
 from valve_control.parameter import ParameterError, Values, defaults, lookup, number, updated
 
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
-BAGS = (".mcap", ".db3", ".zst", ".zstd", ".lvm", ".mat", ".mf4", ".mdf")  # other files with --map
+ARRAYS = {".csv", ".txt", ".tsv", ".dat"}  # suffixes of a log too, but only with --map
 FIGURE = "command, position, error and voltage as PNG or SVG"
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
@@ -257,9 +257,13 @@ def _print(run: offline.Run, alone: bool = False) -> None:
 def _is_recording(arguments: argparse.Namespace) -> bool:
     """Whether --command names a bag or log, and no array."""
     file = arguments.command
-    return bool(file) and (
-        bool(getattr(arguments, "map", None)) or os.path.isdir(file) or Path(file).suffix.lower() in BAGS
-    )
+    if not file:
+        return False
+    if getattr(arguments, "map", None) or os.path.isdir(file):
+        return True
+    from valve_control.recordings.bags import bag, logs
+
+    return Path(file).suffix.lower() in {*bag.KINDS, *bag.ZSTD, *logs.KINDS} - ARRAYS
 
 
 def _simulate(arguments: argparse.Namespace) -> None:

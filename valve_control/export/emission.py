@@ -17,6 +17,7 @@ from valve_control.export.terms import ARGUMENTS, LIBRARY, Function
 from valve_control.parameter import ParameterError
 
 WIDTH = 110
+IN_C = {"binding": "watch", "lvdt_trust": "lvdt_watch", "saturation": "amplifier"}  # published names stay
 _HELPERS = {
     "least": """/* min of Python: the first unless b < a. */
 static {real} {prefix}_least({real} a, {real} b)
@@ -85,8 +86,9 @@ class Program:
         return found
 
     def scope(self, module: str) -> str:
-        """Beginning of the names of what is in ``module``."""
-        return self.prefix if module == self._own else f"{self.prefix}_{identifier(module.split('.')[-1])}"
+        """Beginning of the names of what is in ``module``: the word of its file, or of IN_C in its place."""
+        file = module.split(".")[-1]
+        return self.prefix if module == self._own else f"{self.prefix}_{identifier(IN_C.get(file, file))}"
 
     def type_name(self, kind: Kind) -> str:
         """C type of ``kind``, defined if need be. Raises TypeError for a field that C cannot have."""
@@ -112,10 +114,8 @@ class Program:
             name = self.unique(f"{self.scope(record.__module__)}_{snake(record.__name__)}_t")
         elif kind.what == "array":
             lines = [f"    {self.real} *data;", "    int64_t rows, columns;"]
-            said, name = (
-                "Numbers with two indices, in memory of the caller.",
-                self.unique(f"{self.prefix}_array_t"),
-            )
+            said = "Numbers with two indices, in memory of the caller."
+            name = self.unique(f"{self.prefix}_array_t")
         elif kind.what == "optional":
             lines = ["    bool given;", f"    {self.declared(kind.items[0], 'value')};"]
             said = "A value, or none."

@@ -14,7 +14,7 @@ from valve_control.control.laws.reshaping import PARAMETERS as RESHAPING
 from valve_control.control.laws.signals import Start
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import registry
-from valve_control.control.supervision import control_step
+from valve_control.control.supervision import binding
 from valve_control.control.supervision.record import Memory
 from valve_control.export import kinds
 from valve_control.export.kinds import Kind, identifier
@@ -89,7 +89,7 @@ def watched(values: Values) -> Unit:
     """
     inner = _alone(values)
     on = linearisation.is_on(values)
-    module = control_step.bound(LAWS[inner.name], linearisation.inverse(values) if on else 0.0)
+    module = binding.bound(LAWS[inner.name], linearisation.inverse(values) if on else 0.0)
 
     def built(values: Values) -> Any:
         return module.design(values, inner.build(values))

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Connects laws and valve to ROS 2 as nodes; the only part of the package that imports ROS.
 
-A reading goes through controller_node.py, supervision/supervisor.py, supervision/control_step.py and the law.
+A reading goes through loop.py, controller_node.py, supervision/supervisor.py, control_step.py and the law.
 """
 
 import os

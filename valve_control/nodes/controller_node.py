@@ -81,9 +81,9 @@ class Controller(Managed):
         self._said: tuple[Mode, str] | None = None
         self._announced: dict[str, float] = {}  # s, when a change was last told, by source
         self._lockstep: Lockstep | None = None
-        self._watch_at = NEVER
-        self._catching_up = False
-        self._alone, self._look_at = alone, NEVER
+        self._silent_at = NEVER  # s, from when on the LVDT counts as silent
+        self._catching_up = False  # whether readings of a standstill come in a burst
+        self._alone, self._commands_at = alone, NEVER  # s, when commands are taken for the next reading
         self._seen = 0.0  # s, last reading or silence
         self._pace: rate.State | None = None  # of the readings before the first that is used
         self._last_number = 0  # of a reading before the first that is used
@@ -124,8 +124,8 @@ class Controller(Managed):
         self._paced = parameter.number(values, "lvdt.period_limit") < rate.ANY
         self._journal_topics.period = parameter.number(values, "memory_period")
         self._in_lockstep = values["lockstep"] is True
-        # Half a period more than the last reading that may still come in time.
-        self._hold = 1.5 + parameter.number(values, "lvdt.hold_samples")
+        # Periods: half of one more than the last reading that may still come in time.
+        self._silent_after = 1.5 + parameter.number(values, "lvdt.hold_samples")
         every = int(parameter.number(values, "state_decimation"))
         self._telemetry.apply(self._supervisor.labels(), every)
         self._unchecked = True
@@ -162,7 +162,7 @@ class Controller(Managed):
         self._journal_topics.publish()
         self._said = None
         self._seen = time.monotonic()
-        self._watch_at = NEVER if self._in_lockstep else self._seen + REMIND
+        self._silent_at = NEVER if self._in_lockstep else self._seen + REMIND
         self._pace = None if self._in_lockstep else rate.UNKNOWN
         self._catching_up = False
         self._timing.clear()
@@ -177,7 +177,7 @@ class Controller(Managed):
         self._publish(self._supervisor.stop())
         self._rivals.listen(False, self._period)
         self._journal_topics.publish()
-        self._watch_at = NEVER
+        self._silent_at = NEVER
         self.get_logger().info("inactive, 0 V")
 
     def deliver(self) -> None:
@@ -199,7 +199,7 @@ class Controller(Managed):
     def due(self) -> float:
         """Next time [s] to act without a message: LVDT silent, commands, lockstep check."""
         look_at = NEVER if self._lockstep is None else self._lockstep.look_at
-        return min(self._watch_at, self._look_at, look_at) if self.working else NEVER
+        return min(self._silent_at, self._commands_at, look_at) if self.working else NEVER
 
     def work(self) -> bool:
         """Answer each waiting reading, or take commands for the next; without one in time, switch off."""
@@ -215,40 +215,24 @@ class Controller(Managed):
             self._answer(reading, info)
             worked = True
         now = time.monotonic()
-        if self._look_at <= now < self._watch_at and not worked:
-            self._look_at = NEVER
+        if self._commands_at <= now < self._silent_at and not worked:
+            self._commands_at = NEVER
             self._take_commands()
-        if now >= self._watch_at and not worked:
+        if now >= self._silent_at and not worked:
             self._catching_up = self._stood_still(now)
             self._take_commands()
             if self._pace is not None:
                 self._pace = rate.interrupted(self._pace)
-            voltage = self._supervisor.silence(self._elapsed(now), self._catching_up)
+            voltage = self._supervisor.silence(self._lap(now), self._catching_up)
             if self._supervisor.begun:
                 self._publish(voltage)
-            self._watch_at = now + REMIND
+            self._silent_at = now + REMIND
             worked = True
         return worked
 
     def _stood_still(self, now: float) -> bool:
         """Whether this process stood still until ``now`` [s], so that it did not look in time."""
-        return stood_still(self._watch_at, now)
-
-    def report(self) -> None:
-        """Publish telemetry, and diagnostics if something has changed."""
-        self._telemetry.publish()
-        self._journal_topics.publish_many()
-        supervisor = self._supervisor
-        if self.working and supervisor.memory.changed and self._may_tell(supervisor.mode is Mode.SAFE):
-            self._announce()
-
-    def _may_tell(self, safe: bool, of: str = "supervisor") -> bool:
-        """Whether it is time to tell a change ``of`` something; if it is, it counts as told."""
-        now = time.monotonic()
-        if now < self._announced.get(of, -NEVER) + QUIET and not safe:
-            return False
-        self._announced[of] = now
-        return True
+        return stood_still(self._silent_at, now)
 
     def _answer(self, reading: float, info: dict[str, Any]) -> None:
         began = time.monotonic()
@@ -258,7 +242,7 @@ class Controller(Managed):
             self.get_logger().warning(UNKNOWN)
         if not self._in_lockstep:
             self._take_commands()
-        if self._pace is not None and self._awaits_period(self._pace, number, began):
+        if self._pace is not None and not self._measure_period(self._pace, number, began):
             return
         # What was sent while this process stood still comes in a burst afterwards and is stale.
         if self._stood_still(began):
@@ -267,36 +251,36 @@ class Controller(Managed):
             arrivals = self._timing.arrivals
             self._catching_up = bool(arrivals) and began - arrivals[-1] < 0.5 * self._period
         if self._catching_up:
-            self._publish(self._supervisor.skip(reading, number, self._elapsed(began)))
+            self._publish(self._supervisor.skip(reading, number, self._lap(began)))
         else:
-            elapsed = self._elapsed(began)
+            elapsed = self._lap(began)
             self._supervisor.sample(reading, number, 0.0 if self._in_lockstep else elapsed, self._publish)
         ended = time.monotonic()
         latency = (self._published - info["source_timestamp"]) * 1e-9
         self._timing.note(began, ended, latency, self._period)
         if not self._in_lockstep:
             if self._alone:
-                self._look_at = began + LOOK * self._period
-            self._watch_at = began + (self._hold - self._supervisor.bridged) * self._period
+                self._commands_at = began + LOOK * self._period
+            self._silent_at = began + (self._silent_after - self._supervisor.bridged) * self._period
         self._telemetry.note(self._supervisor)
 
-    def _awaits_period(self, before: rate.State, number: int, now: float) -> bool:
-        """Whether reading ``number`` at ``now`` [s] is not used: a first voltage needs the right period."""
+    def _measure_period(self, before: rate.State, number: int, now: float) -> bool:
+        """Measure the period with reading ``number`` at ``now`` [s]; whether a first voltage may follow."""
         expected = self._supervisor.params.lvdt.pace
         periods = max(1, number - self._last_number) if self._last_number else 1
         self._last_number = number
-        pace = rate.step(expected, before, self._elapsed(now), periods)
-        self._watch_at = now + self._hold * self._period
+        pace = rate.step(expected, before, self._lap(now), periods)
+        self._silent_at = now + self._silent_after * self._period
         if rate.is_right(expected, pace):
             self._pace, self._last_number = None, 0
-            return False
+            return True
         self._pace = pace
         if pace.level == 2 and before.level < 2:
             self._supervisor.observe("lvdt_missing", rate.text(expected, pace))
-        return True
+        return False
 
-    def _elapsed(self, now: float) -> float:
-        """Time [s] since the last call."""
+    def _lap(self, now: float) -> float:
+        """Time [s] from the last call to this one, at ``now`` [s]."""
         elapsed, self._seen = now - self._seen, now
         return elapsed
 
@@ -425,6 +409,22 @@ class Controller(Managed):
         return response
 
     # What is said
+
+    def report(self) -> None:
+        """Publish telemetry, and diagnostics if something has changed."""
+        self._telemetry.publish()
+        self._journal_topics.publish_many()
+        supervisor = self._supervisor
+        if self.working and supervisor.memory.changed and self._may_tell(supervisor.mode is Mode.SAFE):
+            self._announce()
+
+    def _may_tell(self, safe: bool, of: str = "supervisor") -> bool:
+        """Whether it is time to tell a change ``of`` something; if it is, it counts as told."""
+        now = time.monotonic()
+        if now < self._announced.get(of, -NEVER) + QUIET and not safe:
+            return False
+        self._announced[of] = now
+        return True
 
     def _announce(self) -> None:
         """Log a change of mode or reason once, and publish it at once."""

@@ -18,7 +18,7 @@ from valve_control.control.compiling import compile_function
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import registry
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
     SAMPLES,

@@ -10,7 +10,7 @@ import numpy as np
 from valve_control.control.drivers.driver import Condition, Reading
 from valve_control.control.drivers.ticks import Ticks
 from valve_control.control.plant import registry
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 
 BACKLOG = 0.02  # s  ticks that lie further back are left out
 

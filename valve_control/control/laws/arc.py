@@ -11,7 +11,7 @@ from valve_control.control.laws.free import Free
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.projection import Theta
 from valve_control.control.laws.signals import Start
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 from valve_control.parameter import Parameter, Table, Values, number
 
 

@@ -9,7 +9,7 @@ order with its poles close to z = 1 would lose half its digits.
 from typing import NamedTuple
 
 from valve_control.control.laws.signals import Start
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 
 
 class Section(NamedTuple):

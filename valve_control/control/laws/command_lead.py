@@ -20,7 +20,7 @@ from valve_control.arrays import Floats
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws import reshaping
 from valve_control.control.laws.projection import clip
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 from valve_control.parameter import Values, number
 
 

@@ -25,8 +25,8 @@ from valve_control.control.laws.least_squares import NOTHING, Weights
 from valve_control.control.laws.projection import clip
 from valve_control.control.laws.signals import Start
 from valve_control.control.plant import models
-from valve_control.control.plant.amplifier import saturate
 from valve_control.control.plant.models import Scale, TransferFunction
+from valve_control.control.plant.saturation import saturate
 from valve_control.parameter import Parameter, ParameterError, Table, Values, defaults, number, numbers
 
 WEIGHTS = (

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Places of a law's functions in steps for any law; ``control_step.places_of`` names what fills them."""
+"""Places of a law's functions in steps for any law; ``binding.places_of`` names what fills them."""
 
 from typing import Any
 

@@ -26,7 +26,8 @@ def accepted(found: object, taken: dict[str, Law]) -> Law:
     return law
 
 
-LAWS = {law.name: law for law in (arc.LAW, oarc.LAW, dcarc.LAW, pid.LAW, compensator.LAW, open_loop.LAW)}
+BUILT_IN = (arc, oarc, dcarc, pid, compensator, open_loop)
+LAWS: dict[str, Law] = {module.LAW.name: module.LAW for module in BUILT_IN}
 LEFT_OUT = plugins.add(GROUP, "law", accepted, LAWS)  # why, as a sentence
 for _name, _law in LAWS.items():  # the limit of its voltage is behind the curve of linearisation
     LAWS[_name] = _law._replace(build=partial(linearisation.built, _law.build))

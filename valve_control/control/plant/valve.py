@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from valve_control.control.plant.amplifier import saturate
 from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.saturation import saturate
 from valve_control.control.plant.sensor import Lvdt, reading
 
 

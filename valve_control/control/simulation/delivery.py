@@ -19,7 +19,7 @@ from valve_control.arrays import Floats
 from valve_control.control.compiling import compile_function
 from valve_control.control.laws import command_lead, reshaping
 from valve_control.control.laws.law import Law
-from valve_control.control.supervision import clock, command_course, control_step, trajectory
+from valve_control.control.supervision import binding, clock, command_course, trajectory
 from valve_control.parameter import ParameterError, Values, number
 
 TOGETHER = 1e-9  # s  within which a message counts as come at the time of a sample
@@ -147,7 +147,7 @@ def unreshaped(p: reshaping.Params, wanted: Floats) -> Floats:
 
 def of_points(law: Law, params: Any, position: Floats, rate: Floats, accel: Floats) -> Floats:
     """Command [V] that lets ``law`` follow points of a trajectory [V, V/s, V/s²], as on spool_trajectory."""
-    follow = control_step.places_of(law, 0.0)["law_commanded"]
+    follow = binding.places_of(law, 0.0)["law_commanded"]
     points = zip(position.tolist(), rate.tolist(), accel.tolist(), strict=True)
     return np.array([follow(params, trajectory.Motion(*point)) for point in points])
 

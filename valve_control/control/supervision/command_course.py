@@ -13,7 +13,7 @@ command that no predictor explains is a step: it takes effect at once, and no de
 import math
 from typing import NamedTuple
 
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 from valve_control.parameter import Values, number
 
 LONGEST = 0.1  # s  between two commands of one course; one that comes later begins anew

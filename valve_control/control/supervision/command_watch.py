@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from valve_control.control.commands.scenarios import stroke
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 from valve_control.control.supervision.bumpless_transfer import Offset
 from valve_control.parameter import Values, number
 

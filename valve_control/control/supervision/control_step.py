@@ -2,26 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps one valve from reading to voltage: the supervisor's machine, for nodes, replay and exported C.
 
-All functions work on one ``Memory``, which they change, and on ``Params``, which they do not.
-``with_places`` puts the functions of a law, and of who runs the machine, in the places that are kept for
-them. The translator of export/ makes C of the same functions; it leaves out the calls of those that are
-marked as ``node_only``.
+All functions work on one ``Memory``, which they change, and on ``Params``, which they do not. binding.py puts
+the functions of a law, and of who runs the machine, in the places that are kept for them. The translator of
+export/ makes C of the same functions; it leaves out the calls of those that are marked as ``node_only``.
 """
 
-import collections
 import math
-import types
-from collections.abc import Callable, Collection, Mapping
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple
 
-from valve_control.control.compiling import bind, in_words
+from valve_control.control.compiling import in_words
 from valve_control.control.laws import command_lead, linearisation, reshaping, velocity
-from valve_control.control.laws.law import Law
 from valve_control.control.laws.places import law_hold, law_initial, law_step
 from valve_control.control.laws.projection import Theta, clip
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 from valve_control.control.supervision import (
     answer,
     bumpless_transfer,
@@ -31,7 +26,7 @@ from valve_control.control.supervision import (
     cycle_watch,
     lock_in,
     lvdt,
-    lvdt_watch,
+    lvdt_trust,
     oscillation,
     plausibility,
     rate,
@@ -53,7 +48,6 @@ from valve_control.control.supervision.record import (
     reported_of,
     stop_reporting,
 )
-from valve_control.control.supervision.watch_table import REPORTING
 from valve_control.parameter import Values, number, word
 
 BOTH = "spool_command is ignored while spool_trajectory commands"
@@ -61,9 +55,6 @@ OVERDUE = 2.5  # periods since the last reading, from which the driver may have 
 CATCH_UP = 0.25  # of a period for each reading, by which such a time is made up for without a kink
 NOISE = 0.25  # of ``lvdt.tolerance``, way of the spool that may be noise
 PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
-TOLD = {watch.slot for watch in REPORTING} | {  # of the memory, what C leaves out
-    *("samples", "sequence", "pace", "kept", "saturated_for", "said", "name", "changed", "counts")
-}
 
 
 class Params(NamedTuple):
@@ -71,7 +62,7 @@ class Params(NamedTuple):
 
     law: Any  # of the law
     command: command_watch.Params
-    lvdt: lvdt_watch.Params
+    lvdt: lvdt_trust.Params
     cycles: cycle_watch.Params  # of the voltage
     watches: Any  # of the table, which look at the blocks of the plausibility check; None without it
     lead: command_lead.Params | None  # of the command
@@ -92,8 +83,8 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
     kind = LAWS[word(values, "controller")]
     reshaped = kind.reshapes(law)
     least_cycle = number(values, "oscillation_limit") if kind.feedback else 0.0  # else they are the command's
-    watched = lvdt_watch.design(values, law)
-    probation = lvdt_watch.PROBATION * number(values, "lvdt.disturbance") or math.inf
+    watched = lvdt_trust.design(values, law)
+    probation = lvdt_trust.PROBATION * number(values, "lvdt.disturbance") or math.inf
     return Params(
         law,
         command_watch.design(values),
@@ -108,7 +99,7 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
         bumpless_transfer.design(number(values, "transfer_time"), number(values, "sample_period")),
         command_course.design(values),
         reshaped and hasattr(law, "reshaping"),
-        lvdt_watch.PROBATION * number(values, "lvdt.disturbance"),
+        lvdt_trust.PROBATION * number(values, "lvdt.disturbance"),
         bool(values["lockstep"]),
         answered,
         line,
@@ -327,7 +318,7 @@ def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpa
     m.measurement = reading
     m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, reading)
     weigh(p, m, reading, applied, 1 + gap)
-    if m.evidence is not None and m.evidence.held == 0.0:
+    if m.evidence is not None and m.evidence.held == 0.0:  # this reading was the last of a block
         watch_block(p, m, applied, m.evidence.shown)
         confront(p, m)
     if m.law is not None and p.cycles.cycling.amplitude > 0.0:
@@ -430,8 +421,9 @@ def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown)
     """Let the watches of the table look at a block, at whose end ``applied`` [V] is on; it has ``shown``."""
     command = m.effective if math.isfinite(m.effective) else 0.0
     last, doubted = m.judged.standing, m.trust.doubt.times > 0.0
-    seen = plausibility.SeenBlock(last.second, last.grain, applied, doubted, shown, command)
-    reported_of(p.watches, m, seen)
+    motion = shown.y3, shown.velocity, shown.u4, shown.warm == 0.0
+    block = plausibility.Block(*motion, doubted, command, applied, last.second, last.grain)
+    reported_of(p.watches, m, block)
 
 
 @node_only
@@ -530,7 +522,7 @@ def leave_the_finite(p: Params, m: Memory) -> None:
 def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
     """Give 0 V because of ``name``; ``leapt``: readings had leapt."""
     doubt = m.trust.doubt
-    if (leapt or name in lvdt_watch.DOUBTS) and p.lvdt.comparison is not None and p.answered:
+    if (leapt or name in lvdt_trust.DOUBTS) and p.lvdt.comparison is not None and p.answered:
         doubt = plausibility.doubted(doubt, m.evidence, m.now, p.lvdt.hold_off, p.lvdt.hold_off_limit)
         clear(m, "lvdt_doubted")
     m.trust = m.trust._replace(sound=0, blocked=name, doubt=doubt)
@@ -565,7 +557,7 @@ def recover(p: Params, m: Memory, reading: float, anew: bool) -> bool:
             usual = 0.0 if m.evidence is None else m.evidence.shown.usual
             m.evidence = plausibility.initial(p.lvdt.comparison, reading, 0.0, usual)
     speed = abs(m.velocity.velocity)
-    resting = speed <= lvdt_watch.REST or sound * p.lvdt.period >= lvdt_watch.REST_LIMIT
+    resting = speed <= lvdt_trust.REST or sound * p.lvdt.period >= lvdt_trust.REST_LIMIT
     m.trust = m.trust._replace(sound=sound + 1)
     if m.trust.sound < p.lvdt.recovery_samples or not resting or m.now < m.trust.doubt.until:
         m.measurement = reading
@@ -644,7 +636,7 @@ def go_on(p: Params, m: Memory, former: Any, reference: Any) -> None:
 
 
 def advance(p: Params, m: Memory, gap: int, reading: float) -> bool:
-    """Step the law over ``gap`` samples before ``reading`` [V], or without a gap over this sample.
+    """Run ``hold`` over a ``gap`` before ``reading`` [V], or ``control`` if there is none, and catch errors.
 
     False if it produced NaN or infinity, or raised an error: C goes on with what it computes instead.
     """
@@ -751,72 +743,3 @@ def target(p: Params, m: Memory) -> float:
     if p.lead is None or m.lead is None:
         return wanted
     return command_lead.led(p.lead, m.lead, value) + m.transfer.command.value
-
-
-# What stands in the places
-
-
-def with_places(places: Mapping[str, Any]) -> types.SimpleNamespace:
-    """The functions of this file with others in their ``places``."""
-    own = {n: f for n, f in {**globals(), **places}.items() if getattr(f, "__module__", "") == __name__}
-    functions = {n: f for n, f in own.items() if isinstance(f, types.FunctionType)}
-    return types.SimpleNamespace(**bind(functions, places))
-
-
-def places_of(law: Law, line: Any) -> dict[str, Callable[..., Any]]:
-    """The functions of ``law`` by the names of their places; ``line`` as in Params."""
-    module = law.module
-    moved = by_motion if "reshaping" in module.Params._fields else law_commanded
-    return {
-        "law_initial": module.initial,
-        "law_step": module.step,
-        "law_hold": module.hold,
-        "law_steady_command": law.steady_command,
-        "law_resumed": bumpless_transfer.resumed,
-        "law_commanded": moved,
-        "amplified": amplified if isinstance(line, float) else linearised,
-    }
-
-
-def bound(law: Law, line: Any) -> types.SimpleNamespace:
-    """Params, State and the functions of this file for ``law`` alone, as they are exported to C.
-
-    ``line`` as in Params.
-    """
-    module = law.module
-    hints = get_type_hints(module.Params)
-    adapts = law.adapts and {"theta_initial", "theta_min", "theta_max"} <= hints.keys()
-    params = _record(Params, {"law": module.Params, "line": type(line)}, ("watches",))
-    state = module.State | None
-    memory = _record(Memory, {"law": state, "former": state, "proven": state}, TOLD)
-    memory.__name__, memory.changes = "State", True
-    others = {
-        "Params": params,
-        "State": memory,
-        "Theta": hints["theta_initial"] if adapts else Theta,
-        "law_resumed": with_estimates if adapts else law_resumed,
-        "watch_block": unwatched,
-    }
-    made = with_places({**places_of(law, line), **others})
-    kinds = {Params: params, Memory: memory, Any | None: state}
-    for function in vars(made).values():
-        if getattr(function, "__module__", "") == __name__ and isinstance(function, types.FunctionType):
-            own = function.__annotations__
-            own.update({argument: kinds.get(kind, kind) for argument, kind in own.items()})
-
-    def designed(values: Values, law: Any, answered: bool = True) -> Any:
-        whole = design(values, law, answered)
-        return params(*(getattr(whole, name) for name in params._fields))
-
-    made.design = designed
-    return made
-
-
-def _record(template: Any, given: dict[str, Any], without: Collection[str] = ()) -> Any:
-    """A NamedTuple with the fields of ``template``, other types of some, and ``without`` others."""
-    hints = {n: h for n, h in {**get_type_hints(template), **given}.items() if n not in without}
-    made: Any = collections.namedtuple(template.__name__, list(hints))  # type: ignore[misc]
-    made.__annotations__ = hints
-    made.__module__, made.__doc__ = "watch", template.__doc__  # the word before its name in C
-    setattr(made, "template", getattr(template, "template", template))  # noqa: B010  # with the comments of the fields
-    return made

@@ -10,7 +10,7 @@ while; the pause before the law tries again is twice as long each time.
 
 from typing import NamedTuple
 
-from valve_control.control.supervision import lock_in, lvdt_watch, oscillation
+from valve_control.control.supervision import lock_in, lvdt_trust, oscillation
 
 BEGUN = 4.0  # cycles in a row from which they are measured
 SATURATED = 0.9  # of the limit of the voltage
@@ -83,7 +83,7 @@ def lasts(s: oscillation.State) -> bool:
     return calm and s.cycles >= STOPPED and s.maximum_time - s.since >= LEAST
 
 
-def paused(p: lvdt_watch.Params, s: Pause, now: float) -> Pause:
+def paused(p: lvdt_trust.Params, s: Pause, now: float) -> Pause:
     """State after cycles were switched off at ``now`` [s]."""
     times = 0.0 if now > s.until + FORGIVEN else s.times
     return Pause(times + 1.0, now + min(p.hold_off_limit, p.hold_off * 2.0 ** min(times, 30.0)))

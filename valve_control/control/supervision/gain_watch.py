@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from valve_control.control.supervision import plausibility
 from valve_control.control.supervision.plausibility import NOTHING as EMPTY
-from valve_control.control.supervision.plausibility import SeenBlock, Sums
+from valve_control.control.supervision.plausibility import Block, Sums
 from valve_control.parameter import Values
 
 EVERY = 4.0  # blocks of the plausibility check, of which one counts
@@ -67,20 +67,21 @@ def design(values: Values, c: plausibility.Params) -> Params:
     )
 
 
-def step(p: Params, s: State, seen: SeenBlock) -> State:
+def step(p: Params, s: State, block: Block) -> State:
     """State after one more block."""
-    if seen.doubted:
+    if block.doubted:
         return s
-    c, shown = p.check, seen.shown
+    c = p.check
     skipped = s.skipped + 1.0
     if skipped < EVERY:
         return State(skipped, s.velocity, s.sums, s.rates, s.usual, s.present, s.strange)
-    velocity = shown.velocity
-    if shown.warm > 0.0 or abs(velocity) <= c.slow:
+    velocity = block.velocity
+    if not block.settled or abs(velocity) <= c.slow:
         return s._replace(skipped=0.0, velocity=velocity)
     acceleration = (velocity - s.velocity) / p.span
-    w = (acceleration + c.a1 * velocity + c.a0 * shown.y3) / c.b0
-    sums = plausibility.add(p.keep, s.sums, shown.u4, shown.y3, w, math.copysign(1.0, velocity))
+    w = (acceleration + c.a1 * velocity + c.a0 * block.position) / c.b0
+    u, sign = block.filtered_voltage, math.copysign(1.0, velocity)
+    sums = plausibility.add(p.keep, s.sums, u, block.position, w, sign)
     rates = p.keep * s.rates + velocity * velocity
     present = slope(p, c, sums, rates)
     if present == 0.0:

@@ -56,7 +56,7 @@ class Params(NamedTuple):
     a1: float  # 1/s  of the valve's model
     a0: float  # 1/s²
     b0: float  # 1/s², 0: no model, readings of a quiet converter are not judged for being frozen
-    disturbance: float  # V  largest friction and offset together, at most lvdt_watch.LARGEST of u_max
+    disturbance: float  # V  largest friction and offset together, at most lvdt_trust.LARGEST of u_max
 
 
 class Standing(NamedTuple):

@@ -61,12 +61,12 @@ def design(values: Values, c: plausibility.Params) -> Params:
     )
 
 
-def step(p: Params, s: State, seen: plausibility.SeenBlock) -> State:
+def step(p: Params, s: State, block: plausibility.Block) -> State:
     """State after one more block."""
     blocks = s.blocks + 1.0
-    differences = s.differences + abs(seen.second)
-    pull = s.pull + abs(seen.voltage - s.slow)
-    slow = s.slow + p.follow * (seen.voltage - s.slow)
+    differences = s.differences + abs(block.second_difference)
+    pull = s.pull + abs(block.voltage - s.slow)
+    slow = s.slow + p.follow * (block.voltage - s.slow)
     if blocks < p.blocks:
         return State(blocks, differences, pull, slow, s.windows, s.usual, s.noise, s.loud)
     motion = p.explained * pull
@@ -74,7 +74,7 @@ def step(p: Params, s: State, seen: plausibility.SeenBlock) -> State:
     if s.windows < LEARNT:
         usual = s.usual + (noise - s.usual) / (s.windows + 1.0)
         return State(0.0, 0.0, 0.0, slow, s.windows + 1.0, usual, noise, 0.0)
-    limit = max(FLOOR, LOUDER * max(s.usual, ROUNDING * seen.grain))
+    limit = max(FLOOR, LOUDER * max(s.usual, ROUNDING * block.converter_step))
     loud = 0.0
     if noise > (CALMED * limit if s.loud >= LASTING else limit):
         loud = min(LASTING, s.loud + 1.0)

@@ -97,15 +97,18 @@ class Shown(NamedTuple):
     usual: float  # -  slope in the long run, 0.0: not known yet
 
 
-class SeenBlock(NamedTuple):
+class Block(NamedTuple):
     """Data of a block for the watches beside this check."""
 
-    second: float  # V  second difference of the readings at its end
-    grain: float  # V  step of the converter
-    voltage: float  # V  applied before its last reading
+    position: float  # V  behind the low-pass filter
+    velocity: float  # V/s  of ``position``
+    filtered_voltage: float  # V  behind the same filter and the lag of the valve: at the time of ``position``
+    settled: bool  # whether the filter has forgotten its start
     doubted: bool  # whether the readings were found wrong, and motion has not shown yet that they are sound
-    shown: Shown
     command: float  # V  as the law got it, 0.0 without one
+    voltage: float  # V  applied before its last reading
+    second_difference: float  # V  of the readings at its end
+    converter_step: float  # V
 
 
 class State(NamedTuple):

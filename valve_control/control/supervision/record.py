@@ -18,7 +18,7 @@ from valve_control.control.supervision import (
     cycle_watch,
     lock_in,
     lvdt,
-    lvdt_watch,
+    lvdt_trust,
     oscillation,
     plausibility,
     rate,
@@ -65,7 +65,7 @@ class Fixed:
     judged: lvdt.State = lvdt.NOTHING  # the readings one by one
     response: answer.State = answer.NOTHING  # of the spool to the voltage
     pace: rate.State = rate.UNKNOWN  # their period
-    trust: lvdt_watch.State = lvdt_watch.NOTHING  # in the LVDT
+    trust: lvdt_trust.State = lvdt_trust.NOTHING  # in the LVDT
     measurement: float = math.nan  # V  last believable reading, none before the first
     velocity: tachometer.State = AT_REST
     evidence: plausibility.State | None = None  # whether readings answer the voltage
@@ -168,11 +168,11 @@ def forget_saturation(m: Memory) -> None:
 
 
 @node_only
-def reported_of(p: Any, m: Memory, seen: plausibility.SeenBlock) -> None:
+def reported_of(p: Any, m: Memory, block: plausibility.Block) -> None:
     """Let the watches that only report look at a block; ``p``: Params of the watches beside the check."""
     for slot, name, step, text in _REPORTING:
         params = getattr(p, slot)
-        state = step(params, getattr(m, slot), seen)
+        state = step(params, getattr(m, slot), block)
         setattr(m, slot, state)
         told = text(params, state)
         if told == "":

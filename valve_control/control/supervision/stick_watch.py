@@ -45,11 +45,11 @@ def design(values: Values, c: plausibility.Params) -> Params:
     return Params(AWAY * largest, AGAINST * largest, c.slow, c.span, c.a0 / c.b0)
 
 
-def step(p: Params, s: State, seen: plausibility.SeenBlock) -> State:
+def step(p: Params, s: State, block: plausibility.Block) -> State:
     """State after one more block."""
-    away = seen.command - seen.shown.y3
-    pull = answer.pull(seen.shown.u4, p.asked * seen.shown.y3)
-    if abs(seen.shown.velocity) < p.slow and (abs(away) > p.away or abs(pull) > p.against):
+    away = block.command - block.position
+    pull = answer.pull(block.filtered_voltage, p.asked * block.position)
+    if abs(block.velocity) < p.slow and (abs(away) > p.away or abs(pull) > p.against):
         time = min(2.0 * LASTING, s.time + p.span)
         return State(time, away, pull, 1.0 if time > LASTING else s.sticks)
     time = max(0.0, s.time - BACK * p.span)

@@ -9,8 +9,9 @@ degraded  the law has the valve, but something is reported: a silent or refused 
           long saturation, a limit cycle, a broken assumption, a second publisher;
 safe      0 V: the LVDT is implausible, the law gave NaN or infinity, or even cycles reach ±u_max.
 
-The steps are in control_step.py, functions on one memory (record.py), from which exported C is made too.
-Here is what only a node has: other laws and parameters, the period of the readings, counters and telemetry.
+The steps are in control_step.py, functions on one memory (record.py), from which exported C is made too;
+binding.py puts the functions of the law into them. Here is what only a node has: other laws and parameters,
+the period of the readings, counters and telemetry.
 
 Time is counted in samples, so that a run is repeatable; only the silence of the LVDT, during which no sample
 comes, has to be told from outside (``silence``). Each input is noted with its answer (journal.py).
@@ -25,8 +26,9 @@ from valve_control.control.laws import linearisation
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.projection import clip
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 from valve_control.control.supervision import (
+    binding,
     bumpless_transfer,
     control_step,
     law_watch,
@@ -144,8 +146,8 @@ class Supervisor:
         same_reference = before is not None and before.reshapes(former)
         if law is not before or line != self._form[2]:
             own = {"hand_out": self._hand_out, "observe": self._observe}
-            self._steps = control_step.with_places({**control_step.places_of(law, line), **own})
-            self._sample = self._steps.sample  # control_step.sample, with the functions of this law
+            self._steps = binding.with_places({**binding.places_of(law, line), **own})
+            self._sample = self._steps.sample
         self._descriptor = law
         self._form = form
         self.name = m.name = name
@@ -284,7 +286,7 @@ class Supervisor:
             clear(m, "lvdt_rate")
             if pace.level == 1:
                 report(m, "lvdt_rate", rate.text(p.lvdt.pace, pace))
-        voltage = self._sample(p, m, reading, lost, elapsed, pace.level == 2)
+        voltage = self._sample(p, m, reading, lost, elapsed, pace.level == 2)  # that of control_step.py
         self._hand_out(voltage)
         self._note(Event.READING, reading, sequence, elapsed, voltage)
         return voltage

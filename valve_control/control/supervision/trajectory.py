@@ -8,7 +8,7 @@ Between two points it goes on by the derivatives of the newest, and by the jerk 
 import math
 from typing import NamedTuple
 
-from valve_control.control.plant.amplifier import saturate
+from valve_control.control.plant.saturation import saturate
 from valve_control.control.supervision.command_course import LONGEST, USUAL, Params, horizon
 from valve_control.control.supervision.command_course import Motion as Motion
 

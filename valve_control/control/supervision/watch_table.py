@@ -11,7 +11,7 @@ and snapshot follow from the row; exported C has no such watch. The file has ``P
 ``NOTHING`` (the state at the start) and these functions:
 
 design(values, check)   Params from the controller's values and the Params of the plausibility check
-step(p, s, seen)        the state after one more block, of which ``seen`` is a ``plausibility.SeenBlock``
+step(p, s, block)       the state after one more block, a ``plausibility.Block``
 text(p, s)              one sentence for the user, "" while the condition is not there
 stopped(s)              the state after the voltage was switched off; without this function the same
 forgotten(s)            the state after ~/reset, or under another model of the valve; without it ``NOTHING``

@@ -15,10 +15,10 @@ from valve_control.arrays import Floats
 from valve_control.control.commands import scenarios
 from valve_control.design.commissioning.bench import Record, SafetyLimits
 from valve_control.design.commissioning.courses import REACH
+from valve_control.design.identification import bode_fit, lvdt, response
 from valve_control.design.identification import friction as rubbing
-from valve_control.design.identification import lvdt, rational, response
+from valve_control.design.identification.bode_fit import Fit
 from valve_control.design.identification.experiment import Experiment
-from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError
 
@@ -194,7 +194,7 @@ def linear(
     for _ in range(ROUNDS):
         tell()
         response = measured(sine, planned, friction.coulomb)
-        second = rational.fit(response, 2)
+        second = bode_fit.fit(response, 2)
         lag = second.model.denominator[1] / second.model.denominator[2] + second.delay
         friction = friction_proper(static, lag, rest)
     fits, notes = higher(response, HIGHER, tell)
@@ -209,7 +209,7 @@ def higher(
     for order, zeros in forms:
         tell()
         try:
-            fits.append(rational.fit(measured, order, zeros))
+            fits.append(bode_fit.fit(measured, order, zeros))
         except ParameterError as error:
             notes.append(f"no model of order {order}: {error}")
     return fits, notes

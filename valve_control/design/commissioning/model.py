@@ -16,7 +16,7 @@ from valve_control.control.simulation.robustness import Quantity
 from valve_control.design.commissioning.bench import SafetyLimits
 from valve_control.design.commissioning.evaluation import Rest
 from valve_control.design.commissioning.plant import Plant
-from valve_control.design.identification import dead_time, first_gains, rational, theta
+from valve_control.design.identification import bode_fit, dead_time, first_gains, theta
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
 from valve_control.design.identification.response import Response
@@ -52,11 +52,11 @@ class Known:
         Raises ParameterError.
         """
         frequency = np.geomspace(LOWEST, min(HIGHEST, FASTEST / period), FREQUENCIES)
-        exact = rational.exact(plant.model, frequency, period, plant.delay, CERTAIN)
+        exact = bode_fit.exact(plant.model, frequency, period, plant.delay, CERTAIN)
         order, zeros = len(plant.model.denominator) - 1, len(plant.model.numerator) - 1
         late = plant.delay > LATE * period
-        self.second = rational.fit(exact, 2)
-        best = rational.fit(exact, order, zeros, late) if order > 2 else self.second
+        self.second = bode_fit.fit(exact, 2)
+        best = bode_fit.fit(exact, order, zeros, late) if order > 2 else self.second
         self.theta = theta.suggest(exact, self.second, best, u_max)
 
         delay, m = plant.delay if late else 0.0, plant.magnet
@@ -94,7 +94,7 @@ def _simpler(
     reason = refusal
     for lower in range(max(2, len(whole.model.denominator) - 2), 1, -1):
         try:
-            simpler = rational.fit(exact, lower, None, True, MOST_DELAY * whole.period)
+            simpler = bode_fit.fit(exact, lower, None, True, MOST_DELAY * whole.period)
         except ParameterError as error:
             reason = str(error)
             continue

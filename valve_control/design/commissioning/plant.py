@@ -24,9 +24,9 @@ from valve_control.control.plant import registry
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.evaluation import Friction, Rest
-from valve_control.design.identification import rational
+from valve_control.design.identification import bode_fit
+from valve_control.design.identification.bode_fit import Fit
 from valve_control.design.identification.characteristic import TOLD_OVERLAP
-from valve_control.design.identification.rational import Fit
 from valve_control.parameter import ParameterError, Values, defaults
 
 MODEL_ERROR = 0.03  # of a stretch's motion, that a model of the valve is allowed beside the noise
@@ -281,7 +281,7 @@ class _Form(NamedTuple):
 
     def plant(self, x: Floats) -> Plant:
         """The valve with unknowns ``x``."""
-        denominator = rational.product(np.clip(x[: self.order], *self.coefficients()) - 1.0)
+        denominator = bode_fit.product(np.clip(x[: self.order], *self.coefficients()) - 1.0)
         scale = denominator[-1] ** (1.0 / self.order)
         ascending = [x[self.order + i] * denominator[-1] * scale**-i for i in range(self.zeros)]
         model = TransferFunction(tuple(map(float, ascending[::-1])), tuple(map(float, denominator)))
@@ -308,7 +308,7 @@ class _Form(NamedTuple):
         scale = float(slowed[-1]) ** (1.0 / fit.order)
         ascending = [c * scale**i / static for i, c in enumerate(reversed(fit.model.numerator))]
         least, most = self.coefficients()
-        poles = np.clip(1.0 + rational.factors(slowed[1:]), least + AWAY, most - AWAY)
+        poles = np.clip(1.0 + bode_fit.factors(slowed[1:]), least + AWAY, most - AWAY)
         delay = min(max(fit.delay / self.period, 1e-3), self.bounds()[1][-1] - 1e-3)
         return np.array([*poles, *ascending, max(friction.coulomb, 1e-6), offset, delay])
 

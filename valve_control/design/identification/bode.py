@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Computes frequency responses, corners and roots of transfer functions, continuous and sampled."""
+"""Computes responses, corners and roots of known transfer functions; bode_fit.py fits unknown ones."""
 
 import cmath
 import math

@@ -14,7 +14,7 @@ from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND, CONTROLLER
 from valve_control.control.simulation import offline
 from valve_control.design.identification import response
-from valve_control.design.identification.rational import Fit
+from valve_control.design.identification.bode_fit import Fit
 from valve_control.design.identification.response import Response, Segment
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
 

@@ -5,19 +5,19 @@
 from typing import NamedTuple
 
 from valve_control.design.identification import (
+    bode_fit,
     characteristic,
     dead_time,
     experiment,
     first_gains,
     friction,
     lvdt,
-    rational,
     theta,
 )
+from valve_control.design.identification.bode_fit import Fit
 from valve_control.design.identification.characteristic import Characteristic
 from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.friction import Friction
-from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response
 from valve_control.design.identification.result import Identification
 from valve_control.parameter import Parameter, ParameterError
@@ -82,7 +82,7 @@ def _slipping(
     if apart is rubbing or curve is None or curve.shares is None or rubbing.presliding == 0.0:
         return friction.without(tested, rubbing), False  # swings at its turns, or its overlap hides the play
     try:
-        magnet = first_gains.magnet_of(rational.fit(measured, 3, 0, True).model, curve)
+        magnet = first_gains.magnet_of(bode_fit.fit(measured, 3, 0, True).model, curve)
     except ParameterError:
         magnet = None
     return friction.without(tested, apart, curve.shares.play, 0.0 if magnet is None else magnet.coil), True
@@ -98,8 +98,8 @@ def _fits(order: int | None, measured: Response) -> tuple[Fit, ...]:
     refusals: list[ParameterError] = []
     for delayed in (False, True):
         try:
-            second = rational.fit(measured, 2, delayed=delayed)
-            rational.check_worth(second)
+            second = bode_fit.fit(measured, 2, delayed=delayed)
+            bode_fit.check_worth(second)
             break
         except ParameterError as error:
             refusals.append(error)
@@ -107,10 +107,10 @@ def _fits(order: int | None, measured: Response) -> tuple[Fit, ...]:
         raise refusals[0]
     if order is None and second.model_error == 0.0:  # noise alone explains what is left
         return (second,)
-    best = rational.choose(measured, order)
+    best = bode_fit.choose(measured, order)
     if best.names == second.names:
         return (second,)
-    return second, best._replace(bounded=best.bounded and (second.bounded or rational.is_clear(best)))
+    return second, best._replace(bounded=best.bounded and (second.bounded or bode_fit.is_clear(best)))
 
 
 def _with_gains(

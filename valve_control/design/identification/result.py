@@ -15,9 +15,9 @@ from valve_control.control.parameters.table import NODES
 from valve_control.control.plant.models import TransferFunction
 from valve_control.design.identification import bode, characteristic
 from valve_control.design.identification.bode import Corners, Root
+from valve_control.design.identification.bode_fit import Fit
 from valve_control.design.identification.characteristic import Characteristic, known_part
 from valve_control.design.identification.first_gains import KnownValve, rounded
-from valve_control.design.identification.rational import Fit
 from valve_control.design.identification.response import Response
 from valve_control.parameter import Values, defaults, updated
 

@@ -16,11 +16,11 @@ from valve_control.recordings.bags.cdr import Decoder
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.logs import KINDS as TABLES
 from valve_control.recordings.bags.messages import Block, Topic
-from valve_control.recordings.bags.sqlite import SqliteFile
+from valve_control.recordings.bags.sqlite_reader import SqliteFile
 from valve_control.recordings.bags.table import TableFile
 
 if TYPE_CHECKING:
-    from valve_control.recordings.bags.mcap import McapFile
+    from valve_control.recordings.bags.mcap_reader import McapFile
 
     File = McapFile | SqliteFile | TableFile
 
@@ -306,7 +306,7 @@ class Bag:
         plain = self._unpack(path) if path.suffix in ZSTD else path
         if self.storage == "sqlite3":
             return SqliteFile(plain)
-        from valve_control.recordings.bags.mcap import McapFile
+        from valve_control.recordings.bags.mcap_reader import McapFile
 
         return McapFile(plain)
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.bags.errors import BagError
-from valve_control.recordings.bags.sqlite import SALVAGE
+from valve_control.recordings.bags.sqlite_reader import SALVAGE
 from valve_control.recordings.bags.writer import BagWriter
 
 

@@ -17,10 +17,10 @@ from rosbags.rosbag2.metadata import dump_qos_v9
 from valve_control.recordings.bags import metadata
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.bags.messages import CDR, Topic
-from valve_control.recordings.bags.storage import PENDING, SqliteStorage
+from valve_control.recordings.bags.sqlite_writer import PENDING, SqliteWriter
 
 if TYPE_CHECKING:
-    from valve_control.recordings.bags.mcap_storage import McapStorage
+    from valve_control.recordings.bags.mcap_writer import McapWriter
 
 SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}
 
@@ -35,12 +35,12 @@ def usual() -> str:
     return "mcap" if find_spec("mcap") else "sqlite3"
 
 
-def _storage(name: str, path: Path, compression: str) -> "SqliteStorage | McapStorage":
+def _storage(name: str, path: Path, compression: str) -> "SqliteWriter | McapWriter":
     if name == "sqlite3":
-        return SqliteStorage(path)
-    from valve_control.recordings.bags.mcap_storage import McapStorage
+        return SqliteWriter(path)
+    from valve_control.recordings.bags.mcap_writer import McapWriter
 
-    return McapStorage(path, compression)
+    return McapWriter(path, compression)
 
 
 class BagWriter(AbstractContextManager["BagWriter"]):

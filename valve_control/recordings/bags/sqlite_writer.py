@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Storage file of a new bag: SQLite."""
+"""Writes the file of a new bag: SQLite."""
 
 import sqlite3
 from pathlib import Path
@@ -31,7 +31,7 @@ COMMIT;
 """
 
 
-class SqliteStorage:
+class SqliteWriter:
     """An SQLite database with rosbag2's schema 4, and a table of ours for source times and numbers.
 
     ``write`` and ``size`` apart, all methods raise OSError or sqlite3.Error.

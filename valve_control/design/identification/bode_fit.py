@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Fits rational transfer functions to a measured response, with bounds, and chooses their form.
+"""Fits transfer functions to a measured frequency response, with bounds, and chooses their form.
 
 scipy.signal has no invfreqs (scipy issue 4497), python-control no fit to a response (its issue 550), and the
 vector fitting of scikit-rf leaves the number of zeros open. So: a start after Levy [1] in the iteration of

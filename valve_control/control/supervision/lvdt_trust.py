@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Limits by which control_step.py judges the LVDT, counts gaps and trusts readings again, by parameters.
+"""Computes the limits by which control_step.py trusts the LVDT, from parameters, and holds how far it does.
 
 lvdt.py judges a single reading, rate.py whether the readings come at the sample period, and plausibility.py
 whether they answer the voltage as a valve would. A few bad or missing readings are bridged. More of them

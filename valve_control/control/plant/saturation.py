@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Limits the voltage as the amplifier that drives the solenoid does."""
+"""Saturation of the voltage, as in the amplifier that drives the solenoid; laws and valves share it."""
 
 
 def saturate(voltage: float, limit: float) -> float:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Storage file of a new bag: MCAP."""
+"""Writes the file of a new bag: MCAP."""
 
 from pathlib import Path
 from typing import Any
@@ -8,13 +8,13 @@ from typing import Any
 from mcap.writer import CompressionType, Writer
 
 from valve_control.recordings.bags.messages import Topic
-from valve_control.recordings.bags.storage import OVERHEAD, PENDING
+from valve_control.recordings.bags.sqlite_writer import OVERHEAD, PENDING
 
 COMPRESSION = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
 LIBRARY = "valve_control"
 
 
-class McapStorage:
+class McapWriter:
     """An MCAP file of profile ros2."""
 
     def __init__(self, path: Path, compression: str) -> None:
