@@ -22,7 +22,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -35,8 +35,11 @@ from valve_control.control.parameters.ros_file import as_text, as_yaml
 from valve_control.parameter import ParameterError, Values
 from valve_control.recordings.bags.errors import BagError
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
 MANY = ("band", "data_sheet")  # options that take several words
-DRAWN = ("simulate", "compare", "identify")
 
 
 class Parameters(NamedTuple):
@@ -54,22 +57,6 @@ class Parameters(NamedTuple):
 Source = Parameters | Mapping[str, Values] | str | os.PathLike[str]
 
 
-class Figure(str):
-    """A drawing as the text of an SVG file; a notebook shows it."""
-
-    def __repr__(self) -> str:
-        return f"SVG of {len(self) / 1000.0:.0f} kB"
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the SVG file ``path``, whole or not at all. Raises ParameterError and OSError."""
-        if Path(path).suffix.lower() != ".svg":
-            raise ParameterError(f"{path} must end in .svg")
-        outputs.write(os.fspath(path), self)
-
-    def _repr_svg_(self) -> str:
-        return str(self)
-
-
 @dataclass(eq=False, repr=False)
 class Result(dict[str, Any]):
     """Result of a task: the numbers of --json, and what else the task gives."""
@@ -79,7 +66,7 @@ class Result(dict[str, Any]):
     arrays: Mapping[str, Floats]  # signals by name, [samples]; of several valves VALVE/NAME
     parameters: Parameters | None  # of the fitted valve, or the accepted gains
     page: str | None  # report of a bag in HTML
-    call: "Call"
+    arguments: argparse.Namespace  # of the command
 
     def __repr__(self) -> str:
         return self.text
@@ -90,17 +77,33 @@ class Result(dict[str, Any]):
             return text
         return f'{text}<iframe srcdoc="{html.escape(self.page)}" width="100%" height="640"></iframe>'
 
-    def to_dataframe(self) -> Any:
-        """The arrays as columns of a pandas.DataFrame. Raises ModuleNotFoundError without pandas."""
+    def to_dataframe(self) -> "DataFrame":
+        """The arrays as columns of a pandas.DataFrame; of ``compare`` a row for each law.
+
+        Raises ParameterError if the task gives no table, ModuleNotFoundError without pandas.
+        """
         import pandas
 
-        return pandas.DataFrame(self.arrays)
+        if "runs" in self:
+            return pandas.DataFrame([{"law": run["controller"], **run["indices"]} for run in self["runs"]])
+        if not self.arrays:
+            raise ParameterError(f"{self.arguments.task} gives no table; the result is a dict of its numbers")
+        return pandas.DataFrame({name: pandas.Series(column) for name, column in self.arrays.items()})
 
-    def plot(self) -> Figure:
-        """The figure that the command draws with --figure; the task runs again. Raises ParameterError."""
-        if self.call.task not in DRAWN:
-            raise ParameterError(f"{self.call.task} draws no figure; {', '.join(DRAWN)} do")
-        return Figure(self.call.run(["figure"])[2]["figure"][""])
+    def plot(self) -> "Figure":
+        """The figure of --figure, as one of matplotlib to change, show and save. Raises ParameterError."""
+        if not hasattr(self.arguments, "draw"):
+            raise ParameterError(
+                f"this result of {self.arguments.task} has no figure; a simulation, a comparison and a tested "
+                "valve have one"
+            )
+        import matplotlib.pyplot as plt
+
+        figure = plt.figure()
+        self.arguments.draw([], figure=figure)
+        if "inline" in plt.get_backend():
+            plt.close(figure)  # a notebook would show it a second time, below the cell
+        return figure
 
 
 class Call(NamedTuple):
@@ -111,12 +114,12 @@ class Call(NamedTuple):
     parameters: Sequence[Source]
     options: Mapping[str, Any]
 
-    def run(self, wanted: Sequence[str]) -> tuple[int, str, dict[str, dict[str, Any]]]:
-        """Exit status, text and, of the ``wanted`` outputs, the contents by the end of the file's name."""
+    def result(self, *wanted: str) -> Result:
+        """Run the task; the result has what the ``wanted`` outputs hold."""
         for name in OUTPUTS.keys() & self.options.keys():
             raise ParameterError(f"{name} is of the command line; the result of {self.task} has all outputs")
         with tempfile.TemporaryDirectory() as folder:
-            files = {name: f"{folder}/out/{name}.{OUTPUTS[name]}" for name in wanted}
+            files = {name: f"{folder}/out/{name}.{OUTPUTS[name]}" for name in ("json", *wanted)}
             Path(folder, "out").mkdir()
             line = [self.task, *map(str, self.words), *self._options(Path(folder))]
             text, errors = io.StringIO(), _Without(f"{folder}/")
@@ -128,19 +131,16 @@ class Call(NamedTuple):
                     raise type(error)(str(error).replace(f"{folder}/", "")) from error
             lines = [row for row in text.getvalue().splitlines() if folder not in row]
             contents = {name: dict(_contents(Path(file))) for name, file in files.items()}
-        return status, "\n".join(lines), contents
-
-    def result(self, *wanted: str) -> Result:
-        """Run the task; the result has what the ``wanted`` outputs hold."""
-        status, text, contents = self.run(["json", *wanted])
+        numbers = contents["json"][""]
         arrays = contents.get("npz", {}).get("") or {
             f"{valve.lstrip('_')}/{name}" if valve else name: column
             for valve, table in contents.get("csv", {}).items()
             for name, column in table.items()
         }
+        arrays |= {n: np.array(v) for n, v in numbers.get("response", {}).items() if isinstance(v, list)}
         parameters, page = (contents.get(name, {}).get("") for name in ("output", "html"))
-        result = Result(text, status == 0, arrays, parameters, page, self)
-        result.update(contents["json"][""])
+        result = Result("\n".join(lines), status == 0, arrays, parameters, page, arguments)
+        result.update(numbers)
         return result
 
     def _options(self, folder: Path) -> list[str]:

@@ -120,17 +120,14 @@ def plain(value: Any) -> Any:
 
 
 def figure_bytes(figure: Any, path: str) -> bytes:
-    """A matplotlib figure as the bytes of the file ``path``, PNG or SVG by its ending; closes the figure.
+    """A matplotlib figure as the bytes of the file ``path``, PNG or SVG by its ending.
 
     The same figure gives the same bytes.
     """
-    import matplotlib.pyplot as plt
+    import matplotlib
 
     stream = io.BytesIO()
     kind = Path(path).suffix[1:].lower()
-    try:
-        with plt.rc_context({"svg.hashsalt": "valve_control"}):
-            figure.savefig(stream, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
-    finally:
-        plt.close(figure)
+    with matplotlib.rc_context({"svg.hashsalt": "valve_control"}):
+        figure.savefig(stream, format=kind, dpi=110, metadata={"Date": None} if kind == "svg" else None)
     return stream.getvalue()

@@ -7,6 +7,7 @@ import io
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -214,12 +215,12 @@ def title_of(arguments: argparse.Namespace, law: str, settings: Mapping[str, Val
 def _figure(
     arguments: argparse.Namespace, runs: Sequence[offline.Run], settings: Mapping[str, Values]
 ) -> None:
-    if arguments.figure is None:
-        return
     traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
     law = runs[0].controller if len(runs) == 1 else "all laws"
-    draw_traces(Path(arguments.figure), traces, title_of(arguments, law, settings))
-    wrote(arguments, arguments.figure)
+    arguments.draw = partial(draw_traces, traces=traces, title=title_of(arguments, law, settings))
+    if arguments.figure is not None:
+        arguments.draw([Path(arguments.figure)])
+        wrote(arguments, arguments.figure)
 
 
 def _run(arguments: argparse.Namespace, settings: Mapping[str, Values], command: Any) -> offline.Run:
