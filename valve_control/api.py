@@ -19,7 +19,7 @@ import os
 import sys
 import tempfile
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -30,8 +30,14 @@ from valve_control import outputs
 from valve_control.arrays import Floats
 from valve_control.cli.command import parser
 from valve_control.cli.common import OUTPUTS, option_of
+from valve_control.control.laws import command_lead, linearisation
+from valve_control.control.laws.law import Law
+from valve_control.control.laws.registry import LAWS
+from valve_control.control.laws.signals import Start
 from valve_control.control.parameters import files
+from valve_control.control.parameters.controller import add_law
 from valve_control.control.parameters.ros_file import as_text, as_yaml
+from valve_control.control.plant.amplifier import saturate
 from valve_control.parameter import ParameterError, Values
 from valve_control.recordings.bags.errors import BagError
 
@@ -104,6 +110,36 @@ class Result(dict[str, Any]):
         if "inline" in plt.get_backend():
             plt.close(figure)  # a notebook would show it a second time, below the cell
         return figure
+
+    def law(self) -> Callable[[float, float], float]:
+        """The law of a simulation, for a loop of your own: a function of command and reading [V] at a sample.
+
+        It returns the voltage [V] and keeps the law's state; the first sample is at rest. Raises ParameterError.
+        """
+        if not hasattr(self.arguments, "settings"):
+            raise ParameterError(f"{self.arguments.task} gives no law; a result of simulate does")
+        values = self.arguments.settings["controller"]
+        kind, limit = LAWS[values["controller"]], values["command_limit"]
+        params = kind.build(values)
+        lead = command_lead.build(values, kind.reshapes(params))
+        params = linearisation.behind(values, params)
+        law = linearisation.module_of(kind.module, params)
+        state: Any = None
+        before: Any = None
+
+        def step(command: float, reading: float) -> float:
+            nonlocal state, before
+            command = saturate(command, limit)
+            if state is None:
+                state = law.initial(params, Start(reading, 0.0, reading, 0.0, 0.0))
+                before = command_lead.initial(command)
+            if lead is not None:
+                before = command_lead.step(lead, before, command)
+                command = command_lead.led(lead, before, command)
+            voltage, state, _ = law.step(params, state, command, reading, 0.0)
+            return float(voltage)
+
+        return step
 
 
 class Call(NamedTuple):
@@ -204,6 +240,9 @@ def _word(value: Any, folder: Path, name: str) -> str:
             )
         np.save(folder / f"{name}.npy", np.asarray(motion, dtype=float), allow_pickle=False)
         return str(folder / f"{name}.npy")
+    if isinstance(value, Law):
+        add_law(value)
+        return value.name
     if isinstance(value, Mapping):
         if not all(isinstance(values, Mapping) for values in value.values()):
             raise ParameterError(
@@ -284,8 +323,8 @@ def identify(*parameters: Source, bag: str | os.PathLike[str] | None = None, **o
 
 def tune(*parameters: Source, **options: Any) -> Result:
     """Search and verify the gains of one law for a valve and its spread; gives accepted parameters."""
-    law = str(options.get("controller", ""))
-    if "," in law or law == "all":
+    law = options.get("controller")
+    if isinstance(law, str) and ("," in law or law == "all"):
         raise ParameterError(f"controller is {law}; tune takes one law, call it for each")
     return Call("tune", (), parameters, options).result("output")
 

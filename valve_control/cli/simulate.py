@@ -270,7 +270,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
         refuse(arguments, WITH_BAG, "simulate without a bag")
         settings = settings_of(arguments)
         command = _command(arguments, settings["command_source"])
-    run = _run(arguments, settings, command)
+    arguments.settings, run = settings, _run(arguments, settings, command)
     if arguments.json != "-":
         print(HEADER)
         _print(run, alone=True)
