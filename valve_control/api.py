@@ -30,14 +30,10 @@ from valve_control import outputs
 from valve_control.arrays import Floats
 from valve_control.cli.command import parser
 from valve_control.cli.common import OUTPUTS, option_of
-from valve_control.control.laws import command_lead, linearisation
 from valve_control.control.laws.law import Law
-from valve_control.control.laws.registry import LAWS
-from valve_control.control.laws.signals import Start
-from valve_control.control.parameters import files
+from valve_control.control.parameters import build, files
 from valve_control.control.parameters.controller import add_law
 from valve_control.control.parameters.ros_file import as_text, as_yaml
-from valve_control.control.plant.amplifier import saturate
 from valve_control.parameter import ParameterError, Values
 from valve_control.recordings.bags.errors import BagError
 
@@ -112,34 +108,13 @@ class Result(dict[str, Any]):
         return figure
 
     def law(self) -> Callable[[float, float], float]:
-        """The law of a simulation, for a loop of your own: a function of command and reading [V] at a sample.
+        """The law of a simulation for a loop of your own: voltage [V] from command and reading [V] of a sample.
 
-        It returns the voltage [V] and keeps the law's state; the first sample is at rest. Raises ParameterError.
+        It keeps its state, and begins at rest. Raises ParameterError.
         """
         if not hasattr(self.arguments, "settings"):
             raise ParameterError(f"{self.arguments.task} gives no law; a result of simulate does")
-        values = self.arguments.settings["controller"]
-        kind, limit = LAWS[values["controller"]], values["command_limit"]
-        params = kind.build(values)
-        lead = command_lead.build(values, kind.reshapes(params))
-        params = linearisation.behind(values, params)
-        law = linearisation.module_of(kind.module, params)
-        state: Any = None
-        before: Any = None
-
-        def step(command: float, reading: float) -> float:
-            nonlocal state, before
-            command = saturate(command, limit)
-            if state is None:
-                state = law.initial(params, Start(reading, 0.0, reading, 0.0, 0.0))
-                before = command_lead.initial(command)
-            if lead is not None:
-                before = command_lead.step(lead, before, command)
-                command = command_lead.led(lead, before, command)
-            voltage, state, _ = law.step(params, state, command, reading, 0.0)
-            return float(voltage)
-
-        return step
+        return build.law_function(self.arguments.settings["controller"])
 
 
 class Call(NamedTuple):

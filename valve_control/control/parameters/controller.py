@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lists the parameters of `controller` and those of several nodes."""
 
-from functools import partial
-
 from valve_control.control import compiling, plugins
 from valve_control.control.laws import linearisation, registry, reshaping
 from valve_control.control.laws.common import SAMPLE_PERIOD, U_MAX
@@ -162,19 +160,12 @@ def add_law(law: Law) -> None:
     """
     if _added.get(law.name) is law:
         return
-    if getattr(law.module, "__file__", None) is None:
-        raise ParameterError(
-            f"the law '{law.name}' is not in a file; write it into one, such as my_law.py, and import it"
-        )
     others = {name: known for name, known in LAWS.items() if name != law.name or name not in _added}
     try:
-        registry.accepted(law, others)
+        LAWS[law.name] = registry.usable(law, law.module.__name__, others)
     except Exception as error:  # its first step may raise any
         reason = str(error) if isinstance(error, plugins.PluginError) else compiling.in_words(error)
         raise ParameterError(f"the law '{law.name}' does not work: {reason}") from error
-    LAWS[law.name] = law._replace(
-        package=law.module.__name__, build=partial(linearisation.built, law.build)
-    )
     before = _added.get(law.name, law).parameters
     CONTROLLER[:] = [parameter for parameter in CONTROLLER if parameter not in before] + [*law.parameters]
     CONTROLLER[0] = CONTROLLER[0]._replace(choices=tuple(LAWS))
