@@ -9,7 +9,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -275,7 +275,9 @@ def _simulate(arguments: argparse.Namespace) -> None:
         print(HEADER)
         _print(run, alone=True)
         if run.theta is not None:
-            print("estimates at the end: " + ", ".join(f"{v:.4g}" for v in run.theta))
+            names = get_type_hints(LAWS[run.controller].module.State)["theta"]._fields
+            estimates = zip(names, run.theta, strict=True)
+            print("estimates at the end: " + ", ".join(f"{name} {v:.4g}" for name, v in estimates))
     _traces(arguments, run)
     _figure(arguments, [run], settings)
     write_json(arguments, _result(run, settings))
