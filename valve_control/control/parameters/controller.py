@@ -154,19 +154,19 @@ _added: dict[str, Law] = {}  # as they came
 
 
 def add_law(law: Law) -> None:
-    """Add ``law`` to the laws of this process, or put it in place of one that was added.
+    """Add ``law`` to the laws of this process, or put it in place of another package's law of that name.
 
     Raises ParameterError if it does not work.
     """
     if _added.get(law.name) is law:
         return
-    others = {name: known for name, known in LAWS.items() if name != law.name or name not in _added}
+    others = {n: known for n, known in LAWS.items() if n != law.name or known.package == plugins.PACKAGE}
+    before = LAWS.get(law.name, law).parameters
     try:
         LAWS[law.name] = registry.usable(law, law.module.__name__, others)
     except Exception as error:  # its first step may raise any
         reason = str(error) if isinstance(error, plugins.PluginError) else compiling.in_words(error)
         raise ParameterError(f"the law '{law.name}' does not work: {reason}") from error
-    before = _added.get(law.name, law).parameters
     CONTROLLER[:] = [parameter for parameter in CONTROLLER if parameter not in before] + [*law.parameters]
     CONTROLLER[0] = CONTROLLER[0]._replace(choices=tuple(LAWS))
     _added[law.name] = law
