@@ -96,21 +96,21 @@ class Result(dict[str, Any]):
         """The figure of --figure, as one of matplotlib to change, show and save. Raises ParameterError."""
         if not hasattr(self.arguments, "draw"):
             raise ParameterError(
-                f"this result of {self.arguments.task} has no figure; a simulation, a comparison and a tested "
-                "valve have one"
+                f"this result of {self.arguments.task} has no figure; a simulation, a comparison and a "
+                "tested valve have one"
             )
         import matplotlib.pyplot as plt
 
-        figure = plt.figure()
+        figure: Figure = plt.figure()
         self.arguments.draw([], figure=figure)
         if "inline" in plt.get_backend():
             plt.close(figure)  # a notebook would show it a second time, below the cell
         return figure
 
     def law(self) -> Callable[[float, float], float]:
-        """The law of a simulation for a loop of your own: voltage [V] from command and reading [V] of a sample.
+        """The law of a simulation, for a loop of your own: voltage [V] from command and reading [V].
 
-        It keeps its state, and begins at rest. Raises ParameterError.
+        It is called once a sample, keeps its state, and begins at rest. Raises ParameterError.
         """
         if not hasattr(self.arguments, "settings"):
             raise ParameterError(f"{self.arguments.task} gives no law; a result of simulate does")

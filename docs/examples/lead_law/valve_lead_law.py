@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lead-lag feedback: u = x_r/K + k·(e + T·ė) + ki·∫e, with e = x_r - y and the derivative filtered.
 
-x_r is the command within the limits of speed and acceleration (``reshaping``), y the reading, K the static gain.
+x_r is the command within limits of speed and acceleration (``reshaping``), y the reading, K the static gain.
 """
 
 import sys

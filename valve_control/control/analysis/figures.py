@@ -50,9 +50,7 @@ class Plot(NamedTuple):
     logarithmic: bool = False
 
 
-def draw_traces(
-    paths: Sequence[Path], traces: Mapping[str, Trace], title: str, figure: Any = None
-) -> None:
+def draw_traces(paths: Sequence[Path], traces: Mapping[str, Trace], title: str, figure: Any = None) -> None:
     """Draw command and position, error, and voltage over time, a colour per run. The runs have one command.
 
     ``paths`` and ``figure``: as for ``draw_columns``. Raises OSError.
