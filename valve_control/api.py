@@ -4,8 +4,9 @@
 
 Each option of ``valve-control TASK --help`` is a keyword, with underscores for dashes: a switch is True, an
 option that may stand several times takes a list, one of NAME=VALUE a dict. A motion may be an array [V],
-parameters may be a dict by node. Progress, notes and warnings go to standard error. Bad input raises
-ParameterError, a bag that cannot be read BagError, with one sentence. A law that fails raises LawError.
+parameters may be a dict by node, a controller may be the ``LAW`` of your own file. Progress, notes and
+warnings go to standard error. Bad input raises ParameterError, a bag that cannot be read BagError, with one
+sentence. A law that fails raises LawError.
 """
 
 import argparse
@@ -56,7 +57,7 @@ class Parameters(NamedTuple):
         outputs.write(os.fspath(path), self.text)
 
 
-Source = Parameters | Mapping[str, Values] | str | os.PathLike[str]
+Source = Parameters | Mapping[str, Mapping[str, Any]] | str | os.PathLike[str]
 
 
 @dataclass(eq=False, repr=False)
@@ -93,7 +94,7 @@ class Result(dict[str, Any]):
         return pandas.DataFrame({name: pandas.Series(column) for name, column in self.arrays.items()})
 
     def plot(self) -> "Figure":
-        """The figure of --figure, as one of matplotlib to change, show and save. Raises ParameterError."""
+        """The figure that the command draws, as one of matplotlib to change and save. Raises ParameterError."""
         if not hasattr(self.arguments, "draw"):
             raise ParameterError(
                 f"this result of {self.arguments.task} has no figure; a simulation, a comparison and a "
@@ -292,7 +293,7 @@ def compare(*parameters: Source, **options: Any) -> Result:
 
 
 def identify(*parameters: Source, bag: str | os.PathLike[str] | None = None, **options: Any) -> Result:
-    """Fit transfer functions to the recorded test ``bag``, or to a simulated one; gives parameters."""
+    """Fit transfer functions to the test ``bag``, or a simulated one; gives parameters, response as arrays."""
     return Call("identify", () if bag is None else (bag,), parameters, options).result("output")
 
 
@@ -305,7 +306,10 @@ def tune(*parameters: Source, **options: Any) -> Result:
 
 
 def margins(*parameters: Source, **options: Any) -> Result:
-    """Gain, phase and delay margin of given gains on a valve or, with ``box=True``, on a box of valves."""
+    """Gain, phase and delay margin of given gains on a valve or, with ``box=True``, on a box of valves.
+
+    Arrays: frequency_hz [Hz], real and imaginary part of the open loop's response around this valve.
+    """
     return Call("margins", (), parameters, options).result()
 
 
