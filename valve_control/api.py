@@ -94,7 +94,7 @@ class Result(dict[str, Any]):
         return pandas.DataFrame({name: pandas.Series(column) for name, column in self.arrays.items()})
 
     def plot(self) -> "Figure":
-        """The figure that the command draws, as one of matplotlib to change and save. Raises ParameterError."""
+        """The figure that the command draws, of matplotlib, to change and save. Raises ParameterError."""
         if not hasattr(self.arguments, "draw"):
             raise ParameterError(
                 f"this result of {self.arguments.task} has no figure; a simulation, a comparison and a "
@@ -293,7 +293,7 @@ def compare(*parameters: Source, **options: Any) -> Result:
 
 
 def identify(*parameters: Source, bag: str | os.PathLike[str] | None = None, **options: Any) -> Result:
-    """Fit transfer functions to the test ``bag``, or a simulated one; gives parameters, response as arrays."""
+    """Fit transfer functions to the test ``bag``, or a simulated one; gives parameters, arrays of response."""
     return Call("identify", () if bag is None else (bag,), parameters, options).result("output")
 
 
