@@ -293,7 +293,7 @@ def compare(*parameters: Source, **options: Any) -> Result:
 
 
 def identify(*parameters: Source, bag: str | os.PathLike[str] | None = None, **options: Any) -> Result:
-    """Fit transfer functions to the test ``bag``, or a simulated one; gives parameters, arrays of response."""
+    """Fit transfer functions to the test ``bag``, or a simulated one; gives parameters and the response."""
     return Call("identify", () if bag is None else (bag,), parameters, options).result("output")
 
 
