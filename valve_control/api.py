@@ -6,7 +6,7 @@ Each option of ``valve-control TASK --help`` is a keyword, with underscores for 
 option that may stand several times takes a list, one of NAME=VALUE a dict. A motion may be an array [V],
 parameters may be a dict by node, a controller may be the ``LAW`` of your own file. Progress, notes and
 warnings go to standard error. Bad input raises ParameterError, a bag that cannot be read BagError, with one
-sentence. A law that fails raises LawError.
+sentence. A law that fails raises LawError, a RuntimeError.
 """
 
 import argparse
