@@ -44,7 +44,7 @@ class Kept(NamedTuple):
 
 def values_of(kind: str, address: str, period: float) -> Values:
     """Parameters of a driver for the device at ``address``."""
-    table = CONTROLLER + DEVICE
+    table = (*CONTROLLER, *DEVICE)
     given = [setting.split(":=") for setting in (*KINDS[kind].settings, f"{KINDS[kind].address}:={address}")]
     changes = {name: from_text(lookup(table, name), word) for name, word in given}
     return updated(table, defaults(table), {**changes, "driver": kind, "sample_period": period})

@@ -4,6 +4,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -54,6 +55,35 @@ def test_the_example_on_the_command_line(installed, tmp_path):
     assert "lead.gain = 2.0 V/V" in " ".join(told) and told.count("status=0") == 3, said
     assert json.loads((tmp_path / "run.json").read_text())["indices"]["e_rms"] < 0.2
     assert json.loads((tmp_path / "study.json").read_text())["controller"] == "lead"
+
+
+ONE_FILE = """
+import importlib
+from pathlib import Path
+{typed}
+file = Path(valve_lead_law.__file__)
+text = file.read_text()
+for changed in ("+ offset + 0.1 * z1", "+ ofset"):
+    file.write_text(text.replace("+ offset", changed))
+    importlib.reload(valve_lead_law)
+    try:
+        print(vc.simulate(controller=valve_lead_law.LAW)["indices"]["e_rms"])
+    except vc.ParameterError as error:
+        print(error)
+"""
+
+
+def test_a_law_of_one_file_runs_from_python_as_the_page_shows(tmp_path):
+    page = (ROOT / "docs/tutorials/your_law.md").read_text(encoding="utf-8")
+    *typed, shown = [line.removeprefix(">>> ") for line in page.splitlines() if line.startswith(">>> ")]
+    shutil.copy(EXAMPLE / "valve_lead_law.py", tmp_path)
+    program = ONE_FILE.format(typed="\n".join([*typed, f"print({shown})"]))
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=300, cwd=tmp_path
+    )
+    *table, changed, refused = done.stdout.splitlines()
+    assert "\n".join(table) in page and abs(float(changed) - 0.0233) > 1e-4, done.stderr
+    assert refused in page, refused
 
 
 LAW = """

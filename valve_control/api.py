@@ -4,8 +4,9 @@
 
 Each option of ``valve-control TASK --help`` is a keyword, with underscores for dashes: a switch is True, an
 option that may stand several times takes a list, one of NAME=VALUE a dict. A motion may be an array [V],
-parameters may be a dict by node. Progress, notes and warnings go to standard error. Bad input raises
-ParameterError, a bag that cannot be read BagError, with one sentence. A law that fails raises LawError.
+parameters may be a dict by node, a controller may be the ``LAW`` of your own file. Progress, notes and
+warnings go to standard error. Bad input raises ParameterError, a bag that cannot be read BagError, with one
+sentence. A law that fails raises LawError, a RuntimeError.
 """
 
 import argparse
@@ -19,10 +20,10 @@ import os
 import sys
 import tempfile
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -30,13 +31,18 @@ from valve_control import outputs
 from valve_control.arrays import Floats
 from valve_control.cli.command import parser
 from valve_control.cli.common import OUTPUTS, option_of
-from valve_control.control.parameters import files
+from valve_control.control.laws.law import Law
+from valve_control.control.parameters import build, files
+from valve_control.control.parameters.controller import add_law
 from valve_control.control.parameters.ros_file import as_text, as_yaml
 from valve_control.parameter import ParameterError, Values
 from valve_control.recordings.bags.errors import BagError
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
 MANY = ("band", "data_sheet")  # options that take several words
-DRAWN = ("simulate", "compare", "identify")
 
 
 class Parameters(NamedTuple):
@@ -51,23 +57,7 @@ class Parameters(NamedTuple):
         outputs.write(os.fspath(path), self.text)
 
 
-Source = Parameters | Mapping[str, Values] | str | os.PathLike[str]
-
-
-class Figure(str):
-    """A drawing as the text of an SVG file; a notebook shows it."""
-
-    def __repr__(self) -> str:
-        return f"SVG of {len(self) / 1000.0:.0f} kB"
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the SVG file ``path``, whole or not at all. Raises ParameterError and OSError."""
-        if Path(path).suffix.lower() != ".svg":
-            raise ParameterError(f"{path} must end in .svg")
-        outputs.write(os.fspath(path), self)
-
-    def _repr_svg_(self) -> str:
-        return str(self)
+Source = Parameters | Mapping[str, Mapping[str, Any]] | str | os.PathLike[str]
 
 
 @dataclass(eq=False, repr=False)
@@ -79,7 +69,7 @@ class Result(dict[str, Any]):
     arrays: Mapping[str, Floats]  # signals by name, [samples]; of several valves VALVE/NAME
     parameters: Parameters | None  # of the fitted valve, or the accepted gains
     page: str | None  # report of a bag in HTML
-    call: "Call"
+    arguments: argparse.Namespace  # of the command
 
     def __repr__(self) -> str:
         return self.text
@@ -90,17 +80,42 @@ class Result(dict[str, Any]):
             return text
         return f'{text}<iframe srcdoc="{html.escape(self.page)}" width="100%" height="640"></iframe>'
 
-    def to_dataframe(self) -> Any:
-        """The arrays as columns of a pandas.DataFrame. Raises ModuleNotFoundError without pandas."""
+    def to_dataframe(self) -> "DataFrame":
+        """The arrays as columns of a pandas.DataFrame; of ``compare`` a row for each law.
+
+        Raises ParameterError if the task gives no table, ModuleNotFoundError without pandas.
+        """
         import pandas
 
-        return pandas.DataFrame(self.arrays)
+        if "runs" in self:
+            return pandas.DataFrame([{"law": run["controller"], **run["indices"]} for run in self["runs"]])
+        if not self.arrays:
+            raise ParameterError(f"{self.arguments.task} gives no table; the result is a dict of its numbers")
+        return pandas.DataFrame({name: pandas.Series(column) for name, column in self.arrays.items()})
 
-    def plot(self) -> Figure:
-        """The figure that the command draws with --figure; the task runs again. Raises ParameterError."""
-        if self.call.task not in DRAWN:
-            raise ParameterError(f"{self.call.task} draws no figure; {', '.join(DRAWN)} do")
-        return Figure(self.call.run(["figure"])[2]["figure"][""])
+    def plot(self) -> "Figure":
+        """The figure that the command draws, of matplotlib, to change and save. Raises ParameterError."""
+        if not hasattr(self.arguments, "draw"):
+            raise ParameterError(
+                f"this result of {self.arguments.task} has no figure; a simulation, a comparison and a "
+                "tested valve have one"
+            )
+        import matplotlib.pyplot as plt
+
+        figure: Figure = plt.figure()
+        self.arguments.draw([], figure=figure)
+        if "inline" in plt.get_backend():
+            plt.close(figure)  # a notebook would show it a second time, below the cell
+        return figure
+
+    def law(self) -> Callable[[float, float], float]:
+        """The law of a simulation, for a loop of your own: voltage [V] from command and reading [V].
+
+        It is called once a sample, keeps its state, and begins at rest. Raises ParameterError.
+        """
+        if not hasattr(self.arguments, "settings"):
+            raise ParameterError(f"{self.arguments.task} gives no law; a result of simulate does")
+        return build.law_function(self.arguments.settings["controller"])
 
 
 class Call(NamedTuple):
@@ -111,12 +126,12 @@ class Call(NamedTuple):
     parameters: Sequence[Source]
     options: Mapping[str, Any]
 
-    def run(self, wanted: Sequence[str]) -> tuple[int, str, dict[str, dict[str, Any]]]:
-        """Exit status, text and, of the ``wanted`` outputs, the contents by the end of the file's name."""
+    def result(self, *wanted: str) -> Result:
+        """Run the task; the result has what the ``wanted`` outputs hold."""
         for name in OUTPUTS.keys() & self.options.keys():
             raise ParameterError(f"{name} is of the command line; the result of {self.task} has all outputs")
         with tempfile.TemporaryDirectory() as folder:
-            files = {name: f"{folder}/out/{name}.{OUTPUTS[name]}" for name in wanted}
+            files = {name: f"{folder}/out/{name}.{OUTPUTS[name]}" for name in ("json", *wanted)}
             Path(folder, "out").mkdir()
             line = [self.task, *map(str, self.words), *self._options(Path(folder))]
             text, errors = io.StringIO(), _Without(f"{folder}/")
@@ -128,19 +143,16 @@ class Call(NamedTuple):
                     raise type(error)(str(error).replace(f"{folder}/", "")) from error
             lines = [row for row in text.getvalue().splitlines() if folder not in row]
             contents = {name: dict(_contents(Path(file))) for name, file in files.items()}
-        return status, "\n".join(lines), contents
-
-    def result(self, *wanted: str) -> Result:
-        """Run the task; the result has what the ``wanted`` outputs hold."""
-        status, text, contents = self.run(["json", *wanted])
+        numbers = contents["json"][""]
         arrays = contents.get("npz", {}).get("") or {
             f"{valve.lstrip('_')}/{name}" if valve else name: column
             for valve, table in contents.get("csv", {}).items()
             for name, column in table.items()
         }
+        arrays |= {n: np.array(v) for n, v in numbers.get("response", {}).items() if isinstance(v, list)}
         parameters, page = (contents.get(name, {}).get("") for name in ("output", "html"))
-        result = Result(text, status == 0, arrays, parameters, page, self)
-        result.update(contents["json"][""])
+        result = Result("\n".join(lines), status == 0, arrays, parameters, page, arguments)
+        result.update(numbers)
         return result
 
     def _options(self, folder: Path) -> list[str]:
@@ -204,6 +216,9 @@ def _word(value: Any, folder: Path, name: str) -> str:
             )
         np.save(folder / f"{name}.npy", np.asarray(motion, dtype=float), allow_pickle=False)
         return str(folder / f"{name}.npy")
+    if isinstance(value, Law):
+        add_law(value)
+        return value.name
     if isinstance(value, Mapping):
         if not all(isinstance(values, Mapping) for values in value.values()):
             raise ParameterError(
@@ -278,20 +293,23 @@ def compare(*parameters: Source, **options: Any) -> Result:
 
 
 def identify(*parameters: Source, bag: str | os.PathLike[str] | None = None, **options: Any) -> Result:
-    """Fit transfer functions to the recorded test ``bag``, or to a simulated one; gives parameters."""
+    """Fit transfer functions to the test ``bag``, or a simulated one; gives parameters and the response."""
     return Call("identify", () if bag is None else (bag,), parameters, options).result("output")
 
 
 def tune(*parameters: Source, **options: Any) -> Result:
     """Search and verify the gains of one law for a valve and its spread; gives accepted parameters."""
-    law = str(options.get("controller", ""))
-    if "," in law or law == "all":
+    law = options.get("controller")
+    if isinstance(law, str) and ("," in law or law == "all"):
         raise ParameterError(f"controller is {law}; tune takes one law, call it for each")
     return Call("tune", (), parameters, options).result("output")
 
 
 def margins(*parameters: Source, **options: Any) -> Result:
-    """Gain, phase and delay margin of given gains on a valve or, with ``box=True``, on a box of valves."""
+    """Gain, phase and delay margin of given gains on a valve or, with ``box=True``, on a box of valves.
+
+    Arrays: frequency_hz [Hz], real and imaginary part of the open loop's response around this valve.
+    """
     return Call("margins", (), parameters, options).result()
 
 

@@ -101,7 +101,7 @@ class Parameter(NamedTuple):
             )
 
 
-Table = tuple[Parameter, ...]
+Table = Sequence[Parameter]
 
 
 def running(*parameters: Parameter) -> Table:

@@ -354,7 +354,7 @@ def report(runs: list[tuple[DemoRun, Measured]], folder: Path) -> bool:
     written = [folder / "demo.json"]
     if paper := groups.get(TABLE_1):
         written.append(folder / "demo_paper.png")
-        draw_traces(written[-1], paper, f"{TABLE_1}: three processes over DDS at 1 kHz")
+        draw_traces(written[-1:], paper, f"{TABLE_1}: three processes over DDS at 1 kHz")
     if story := groups.get(STORY):
         print(f"\n{demo.HEAD}")
         errors = {}

@@ -24,7 +24,7 @@ def test_page_is_whole_and_loads_nothing():
 def test_a_large_error_does_not_hide_the_small_ones(tmp_path):
     time = np.linspace(0.0, 1.0, 100)
     runs = {name: Trace(time, time, time + size, time) for name, size in (("good", 0.01), ("bad", 0.1))}
-    draw_traces(tmp_path / "both.svg", runs, "title")
+    draw_traces([tmp_path / "both.svg"], runs, "title")
     text = (tmp_path / "both.svg").read_text()
     assert "<!-- small errors [mV] -->" in text and "<!-- bad: 100 mV rms, 10 % of stroke -->" in text
 

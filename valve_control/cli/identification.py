@@ -3,6 +3,7 @@
 """Defines the sub-command `identify`: measures and fits a valve, simulated or recorded."""
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -127,8 +128,10 @@ def _identify(arguments: argparse.Namespace) -> int:
         print(result.text(found))
     for path, content in files:
         deliver(arguments, path, content)
+    if tested:
+        arguments.draw = partial(result.draw_bode, found=found)
     if arguments.figure is not None:
-        result.draw_bode(found, arguments.figure)
+        arguments.draw([Path(arguments.figure)])
         wrote(arguments, arguments.figure)
     for path in drawings:
         assert found.curve is not None

@@ -11,7 +11,7 @@ from valve_control.cli.common import law_option, output_group, refuse, repeated,
 from valve_control.cli.simulate import settings_of, valve_options
 from valve_control.cli.study import box_of
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.linear import margins, stability
+from valve_control.control.linear import linear_loop, margins, stability
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant import registry
@@ -61,7 +61,8 @@ def _margins(arguments: argparse.Namespace) -> None:
         )
     values = settings["controller"]
     seen = margins.prepared(stability.behind_curve(values, plant))
-    found = {"this valve": margins.worst(margins.margins(law, params, seen))}
+    slopes = margins.margins(law, params, seen)  # one for each slope behind a curve
+    found = {"this valve": margins.worst(slopes)}
     if arguments.box:
         plants = boxes.bounding(boxes.study_of(settings, box_of(arguments), 1, SEED))
         over = margins.margins(law, params, margins.prepared(plants))
@@ -72,7 +73,9 @@ def _margins(arguments: argparse.Namespace) -> None:
     for warning in filter(None, warnings):
         print(f"warning: {warning}", file=sys.stderr)
     rows = {name: margins.as_dict(one) for name, one in found.items()}
-    write_json(arguments, {"controller": law.name, "margins": rows})
+    loop = margins.open_loop(linear_loop.linear_law(law, params), seen)[slopes.phase_deg.argmin()]
+    response = {"frequency_hz": seen.omega / (2.0 * math.pi), "real": loop.real, "imaginary": loop.imag}
+    write_json(arguments, {"controller": law.name, "margins": rows, "response": response})
 
 
 def _print(law: str, found: dict[str, margins.Margins]) -> None:

@@ -7,8 +7,9 @@ import io
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -214,12 +215,12 @@ def title_of(arguments: argparse.Namespace, law: str, settings: Mapping[str, Val
 def _figure(
     arguments: argparse.Namespace, runs: Sequence[offline.Run], settings: Mapping[str, Values]
 ) -> None:
-    if arguments.figure is None:
-        return
     traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
     law = runs[0].controller if len(runs) == 1 else "all laws"
-    draw_traces(Path(arguments.figure), traces, title_of(arguments, law, settings))
-    wrote(arguments, arguments.figure)
+    arguments.draw = partial(draw_traces, traces=traces, title=title_of(arguments, law, settings))
+    if arguments.figure is not None:
+        arguments.draw([Path(arguments.figure)])
+        wrote(arguments, arguments.figure)
 
 
 def _run(arguments: argparse.Namespace, settings: Mapping[str, Values], command: Any) -> offline.Run:
@@ -273,12 +274,14 @@ def _simulate(arguments: argparse.Namespace) -> None:
         refuse(arguments, WITH_BAG, "simulate without a bag")
         settings = settings_of(arguments)
         command = _command(arguments, settings["command_source"])
-    run = _run(arguments, settings, command)
+    arguments.settings, run = settings, _run(arguments, settings, command)
     if arguments.json != "-":
         print(HEADER)
         _print(run, alone=True)
         if run.theta is not None:
-            print("estimates at the end: " + ", ".join(f"{v:.4g}" for v in run.theta))
+            names = get_type_hints(LAWS[run.controller].module.State)["theta"]._fields
+            estimates = zip(names, run.theta, strict=True)
+            print("estimates at the end: " + ", ".join(f"{name} {v:.4g}" for name, v in estimates))
     _traces(arguments, run)
     _figure(arguments, [run], settings)
     write_json(arguments, _result(run, settings))

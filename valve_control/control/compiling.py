@@ -38,10 +38,13 @@ class LawError(RuntimeError):
 
 
 def add_sources(module: types.ModuleType) -> None:
-    """Let functions of the package of ``module`` be compiled too; call it before anything is compiled."""
+    """Let functions of the package of ``module`` be compiled too, or of the file of one without a package."""
     source = getattr(module, "__file__", None)
     if source is not None:
-        _packages[module.__name__.split(".")[0]] = Path(source).resolve().parent
+        path = Path(source).resolve()
+        _packages[module.__name__.split(".")[0]] = path.parent if module.__package__ else path
+        sources_digest.cache_clear()
+        _numba.cache_clear()  # whose folder is named after the sources
 
 
 def _ours(name: str) -> bool:
@@ -53,7 +56,7 @@ def sources_digest() -> str:
     """Hash, sixteen hexadecimal digits, of the sources of all packages whose functions are compiled."""
     digest = hashlib.sha256()
     for root in _packages.values():
-        for source in sorted(root.rglob("*.py")):
+        for source in sorted(root.rglob("*.py")) if root.is_dir() else [root]:
             digest.update(str(source.relative_to(root)).encode())
             digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

@@ -6,6 +6,7 @@ A law, a plant and a driver are each a NamedTuple with name, parameters and pack
 """
 
 import math
+import traceback
 from collections.abc import Callable, Iterable
 from importlib.metadata import entry_points
 from typing import Any, TypeVar
@@ -33,7 +34,9 @@ def add(
         try:
             entry: Any = accepted(point.load(), known)
         except Exception as error:  # its import, and its first step, may raise any
-            reason = str(error) if isinstance(error, PluginError) else f"{type(error).__name__}: {error}"
+            at = traceback.extract_tb(error.__traceback__)[-1]
+            raised = f"{type(error).__name__}: {error} ({at.filename.rpartition('/')[2]}, line {at.lineno})"
+            reason = str(error) if isinstance(error, PluginError) else raised
             left_out[point.name] = f"the {kind} '{point.name}' of the package {package} is left out: {reason}"
         else:
             known[entry.name] = entry._replace(package=package)

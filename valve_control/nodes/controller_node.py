@@ -72,7 +72,7 @@ class Controller(Managed):
     ``alone``: whether the process has no other node.
     """
 
-    table = CONTROLLER
+    table: parameter.Table = CONTROLLER
 
     def __init__(self, alone: bool = True, **options: Any) -> None:
         super().__init__("controller", **options)

@@ -50,7 +50,7 @@ class DeviceController(DeviceNode, Controller):
     others, then it waits for the next. Such a device shares its process with no other.
     """
 
-    table = CONTROLLER + DEVICE
+    table = (*CONTROLLER, *DEVICE)
     live = frozenset(LIVE | OWN - {"sample_period"})
 
     def __init__(self, alone: bool = True, **options: Any) -> None:

@@ -51,10 +51,10 @@ class Plot(NamedTuple):
     logarithmic: bool = False
 
 
-def draw_traces(path: Path, traces: Mapping[str, Trace], title: str) -> None:
+def draw_traces(paths: Sequence[Path], traces: Mapping[str, Trace], title: str, figure: Any = None) -> None:
     """Draw command and position, error, and voltage over time, a colour per run. The runs have one command.
 
-    Raises OSError if ``path`` cannot be written.
+    ``paths`` and ``figure``: as for ``draw_columns``. Raises OSError.
     """
     first = next(iter(traces.values()))
     stroke = float(np.ptp(first.command))
@@ -72,7 +72,7 @@ def draw_traces(path: Path, traces: Mapping[str, Trace], title: str) -> None:
         bottom.append(Line(label, time, trace.voltage, colour))
     name = "error [mV]" if len(middle) == len(traces) else "small errors [mV]"
     plots = [Plot("spool position [V]", top), Plot(name, middle), Plot("voltage [V]", bottom)]
-    draw_columns([path], {"": plots}, "time [s]", title)
+    draw_columns(paths, {"": plots}, "time [s]", title, figure=figure)
 
 
 def draw_columns(
@@ -81,19 +81,18 @@ def draw_columns(
     x_title: str,
     title: str,
     logarithmic_x: bool = False,
+    figure: Any = None,
 ) -> None:
     """Draw a column of plots for each name, into each of ``paths``; a column has one horizontal axis.
 
-    Raises OSError if a path cannot be written.
+    ``figure``: an empty one of matplotlib to draw into. Raises OSError if a path cannot be written.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     rows = max(len(plots) for plots in columns.values())
-    size = (9.0 * len(columns), 1.2 + 2.4 * rows)
-    figure, axes = plt.subplots(rows, len(columns), figsize=size, sharex="col", squeeze=False)
+    figure = Figure() if figure is None else figure
+    figure.set_size_inches(9.0 * len(columns), 1.2 + 2.4 * rows)
+    axes = figure.subplots(rows, len(columns), sharex="col", squeeze=False)
     for column, (name, plots) in zip(axes.T, columns.items(), strict=True):
         told: set[str] = set()  # lines that a legend above explains
         for axis, plot in zip(column, plots, strict=True):
@@ -115,7 +114,6 @@ def draw_columns(
     figure.tight_layout()
     for path in paths:
         save(figure, path)
-    plt.close(figure)
 
 
 def save(figure: Any, path: Path) -> None:

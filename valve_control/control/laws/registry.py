@@ -21,9 +21,16 @@ def accepted(found: object, taken: dict[str, Law]) -> Law:
     law = plugins.check(found, Law)
     if law.name in taken:
         raise plugins.PluginError(f"the name is taken by a law of {taken[law.name].package}")
+    if getattr(law.module, "__file__", None) is None:
+        raise plugins.PluginError("it is in no file; write it into one, such as my_law.py, and import that")
     try_out(law, {**defaults(COMMON), **defaults(reshaping.PARAMETERS)})
     compiling.add_sources(law.module)
     return law
+
+
+def usable(law: Law, package: str, taken: dict[str, Law]) -> Law:
+    """``law`` of a ``package`` as LAWS has it. Raises PluginError, or what ``law`` raises."""
+    return accepted(law, taken)._replace(package=package, build=partial(linearisation.built, law.build))
 
 
 BUILT_IN = (arc, oarc, dcarc, pid, compensator, open_loop)

@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lists the parameters of `controller` and those of several nodes."""
 
-from valve_control.control.laws import linearisation, reshaping
+from valve_control.control import compiling, plugins
+from valve_control.control.laws import linearisation, registry, reshaping
 from valve_control.control.laws.common import SAMPLE_PERIOD, U_MAX
+from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS, LEFT_OUT
-from valve_control.parameter import Parameter, Table, running
+from valve_control.parameter import Parameter, ParameterError, Table, running
 
 AUTOSTART = Parameter(
     "autostart", True, "", "configure and activate at the start; false waits for transitions", node_only=True
@@ -18,7 +20,7 @@ REALTIME: Table = running(
     Parameter("realtime.cpus", "", "", "CPUs the process may use, such as 2 or 2,3; empty: leave them"),
 )
 
-CONTROLLER: Table = (
+CONTROLLER: list[Parameter] = [  # that ``add_law`` makes longer
     Parameter(
         "controller",
         "arc",
@@ -147,4 +149,24 @@ CONTROLLER: Table = (
     *reshaping.PARAMETERS,
     *linearisation.PARAMETERS,
     *(parameter for law in LAWS.values() for parameter in law.parameters),
-)
+]
+_added: dict[str, Law] = {}  # as they came
+
+
+def add_law(law: Law) -> None:
+    """Add ``law`` to the laws of this process, or put it in place of another package's law of that name.
+
+    Raises ParameterError if it does not work.
+    """
+    if _added.get(law.name) is law:
+        return
+    others = {n: known for n, known in LAWS.items() if n != law.name or known.package == plugins.PACKAGE}
+    before = LAWS.get(law.name, law).parameters
+    try:
+        LAWS[law.name] = registry.usable(law, law.module.__name__, others)
+    except Exception as error:  # its first step may raise any
+        reason = str(error) if isinstance(error, plugins.PluginError) else compiling.in_words(error)
+        raise ParameterError(f"the law '{law.name}' does not work: {reason}") from error
+    CONTROLLER[:] = [parameter for parameter in CONTROLLER if parameter not in before] + [*law.parameters]
+    CONTROLLER[0] = CONTROLLER[0]._replace(choices=tuple(LAWS))
+    _added[law.name] = law

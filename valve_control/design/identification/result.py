@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes a valve that was identified, or given: text, JSON, ROS 2 parameter file, Bode plot."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -269,8 +270,11 @@ def plain(value: Any) -> Any:
     )
 
 
-def draw_bode(found: Identification, path: str) -> None:
-    """Draw the measured response, its coherence and the fits, as the file ``path``. Raises OSError."""
+def draw_bode(paths: Sequence[Path], found: Identification, figure: Any = None) -> None:
+    """Draw the measured response, its coherence and the fits.
+
+    ``paths`` and ``figure``: as for ``draw_columns``. Raises OSError.
+    """
     m = found.measured
     assert m is not None
     frequency, plots = np.geomspace(m.frequency[0], m.frequency[-1], 500), []
@@ -283,4 +287,4 @@ def draw_bode(found: Identification, path: str) -> None:
         lines.append(Line(f"measured ({m.method})", m.frequency, read(m.value), "black", "o"))
         plots.append(Plot(title, lines))
     plots.append(Plot("coherence", [Line("", m.frequency, m.coherence, "gray")]))
-    draw_columns([Path(path)], {"": plots}, "frequency [Hz]", found.source, logarithmic_x=True)
+    draw_columns(paths, {"": plots}, "frequency [Hz]", found.source, logarithmic_x=True, figure=figure)

@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Lead-lag feedback: u = x_r/K + k·(e + T·ė) + ki·∫e, with the derivative filtered."""
+"""Lead-lag feedback: u = x_r/K + k·(e + T·ė) + ki·∫e, with e = x_r - y and the derivative filtered.
+
+x_r is the command within limits of speed and acceleration (``reshaping``), y the reading, K the static gain.
+"""
 
 import sys
 from typing import NamedTuple
@@ -35,7 +38,7 @@ class State(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """What the law computed at this sample."""
+    """What the law computed at this sample, for recordings; a law has at least these."""
 
     reference: float  # V
     z1: float  # V
@@ -43,7 +46,7 @@ class Terms(NamedTuple):
 
 
 def initial(p: Params, start: Start) -> State:
-    """State that starts without a bump at ``start``."""
+    """State with which the first step gives the voltage that ``start`` has."""
     reference = reshaping.State(start.reference, start.reference_rate)
     z1 = start.measurement - start.reference
     rate = start.velocity - start.reference_rate
@@ -54,7 +57,10 @@ def initial(p: Params, start: Start) -> State:
 def step(
     p: Params, s: State, command: float, measurement: float, offset: float
 ) -> tuple[float, State, Terms]:
-    """One sample: returns voltage [V] within ±u_max, the next state and the terms."""
+    """One sample: returns voltage [V] within ±u_max, the next state and the terms.
+
+    ``command``, ``measurement`` [V]; ``offset`` [V] is 0 except after a change of the law, when it fades out.
+    """
     accel = reshaping.acceleration(p.reshaping, s.reference, command)
     filtered = velocity.step(p.velocity, s.velocity, measurement)
     z1 = measurement - s.reference.reference
@@ -76,7 +82,7 @@ PARAMETERS: Table = (
     Parameter("lead.gain", 2.0, "V/V", "proportional gain", 0.0, 1e3),
     Parameter("lead.lead", 0.02, "s", "time constant of the lead", 0.0, 1.0),
     Parameter("lead.integral", 30.0, "1/s", "integral gain", 0.0, 1e6),
-    Parameter("lead.static_gain", 0.83, "V/V", "static gain of the valve", 1e-3, 1e3),
+    Parameter("lead.static_gain", 0.83, "V/V", "steady position over voltage", 1e-3, 1e3),
 )
 
 
@@ -84,12 +90,12 @@ def build(values: Values) -> Params:
     """Params from the controller's values. Raises ParameterError."""
     gains = [number(values, parameter.name) for parameter in PARAMETERS]
     period = number(values, "sample_period")
-    filters = reshaping.build(values), velocity.design(150.0, period)
+    filters = reshaping.build(values), velocity.design(150.0, period)  # Hz, s
     return Params(*gains, number(values, "u_max"), period, *filters)
 
 
 def model(p: Params) -> tuple[float, float, float]:
-    """a1, a0 and b0 of the valve for which the gains are meant."""
+    """a1, a0, b0 of the valve b0/(s² + a1·s + a0): gains that are unstable on it cause a warning."""
     return 58.8, 1657.0, 1502.0
 
 
