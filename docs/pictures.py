@@ -244,17 +244,26 @@ def live_change(path: Path) -> None:
 
 @picture
 def your_valve(path: Path) -> None:
-    """The run of the tutorial with its gains."""
-    valve = ("--params-file", "docs/examples/my_valve.yaml")
-    changes = ("scenario=sweep", "frequency=0.5", "sweep_time=20.0", "duration=21.0", "amplitude=2.0")
-    test = [word for change in changes for word in ("--set", change)]
-    valve_control("simulate", "--controller", "open_loop", *test, *valve, "--csv", "log.csv")
-    columns = ("time=time", "spool_position=measurement", "valve_voltage=voltage")
-    maps = [word for column in columns for word in ("--map", column)]
-    valve_control("identify", "log.csv", *maps, "--output", "log.yaml")
-    files = ("log.yaml", "docs/examples/my_valve.yaml", "docs/examples/my_controller.yaml")
-    words = [word for name in files for word in ("--params-file", name)]
-    valve_control("simulate", *words, "--figure", str(path))
+    """The laws of the tutorial on a valve that differs from its data sheet, with tuned gains."""
+    sheet = ("natural_frequency=14", "damping=1", "hysteresis=5", "full_stroke=9", "lvdt.noise=0.004")
+    valve_control("identify", "--data-sheet", *sheet, "lvdt.resolution=0.005", "--output", "sheet.yaml")
+    motion = ("--command", "config/commands/fast_strokes.csv")
+    fixed = ("friction.coulomb", "friction.static_ratio", "lvdt.noise")
+    words = [word for name in fixed for word in ("--fix", name)]
+    files = ("--params-file", "sheet.yaml")
+    laws = ("--controller", "dcarc,pid")
+    valve_control("tune", *laws, *files, *motion, *words, "--budget", "400", "--output", "tuned.yaml")
+    names = ("tuned_dcarc.yaml", "tuned_pid.yaml", "docs/examples/my_valve.yaml")
+    files += tuple(word for name in names for word in ("--params-file", name))
+    valve_control("compare", *files, *motion, "--duration", "1.0", "--figure", str(path))
+
+
+@picture
+def your_log(path: Path) -> None:
+    """Signals in the report of the tutorial's log."""
+    maps = ("--map", "spool_position=LVDT@4..20mA", "--map", "valve_voltage=U")
+    valve_control("analyze", "docs/examples/plc_log.csv", *maps, "--html", "report.html")
+    screenshot("report.html", path, 1170, 545)
 
 
 SOLENOID = "docs/examples/my_solenoid_valve.yaml"

@@ -31,6 +31,7 @@ def test_a_function_gives_what_the_command_writes(tmp_path, capsys):
     error = run.arrays["position"] - run.arrays["command"]
     assert np.sqrt(np.mean(error**2)) == pytest.approx(run["true_error"]["e_rms"], rel=1e-9)
     assert "<pre>" in run._repr_html_() and len(run.to_dataframe()) == len(MOTION)
+    assert "pid (my_valve.yaml) on the valve custom: command " in run.plot().get_suptitle()
 
 
 def test_the_loop_of_margins_has_the_phase_margin_that_it_tells():
@@ -93,7 +94,7 @@ def test_a_log_of_arrays_is_analysed(tmp_path):
         (lambda: vc.simulate({"damping": 0.7}), "a dict by node"),
         (lambda: vc.simulate(set={"arc.k9": 1.0}), "no parameter 'arc.k9'"),
         (lambda: vc.simulate(npz="traces.npz"), "npz is of the command line"),
-        (lambda: vc.simulate(command=[float("nan"), 1.0]), "^command file command_0.npy has nan in entry 1"),
+        (lambda: vc.simulate(command=[float("nan"), 1.0]), "^command file command.npy has nan in entry 1"),
         (lambda: vc.simulate({"controller": {"arc.k9": 1.0}}), "^parameters.yaml: .*'arc.k9'"),
         (lambda: vc.margins(VALVE).plot(), "margins has no figure"),
         (lambda: vc.margins(VALVE).law(), "margins gives no law"),

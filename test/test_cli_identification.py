@@ -126,6 +126,7 @@ def test_recorded_tests_with_and_without_parameters(run, tmp_path):
     assert abs(result["fits"][-1]["static_gain"]["value"] / 0.829 - 1.0) < 0.02
     for words, said in (
         (["told", "--friction", "told"], "must be a triangle"),
+        (["told", "--friction", "log.csv", *maps], "--map counts for both tests"),
         (["told", "--seed", "3"], "takes no --seed"),
     ):
         status, _, err = run("identify", *words)

@@ -15,6 +15,7 @@ import functools
 import html
 import inspect
 import io
+import itertools
 import json
 import os
 import sys
@@ -131,13 +132,14 @@ class Call(NamedTuple):
         for name in OUTPUTS.keys() & self.options.keys():
             raise ParameterError(f"{name} is of the command line; the result of {self.task} has all outputs")
         with tempfile.TemporaryDirectory() as folder:
-            files = {name: f"{folder}/out/{name}.{OUTPUTS[name]}" for name in ("json", *wanted)}
+            files = {name: f"{folder}/out/{self.task}.{OUTPUTS[name]}" for name in ("json", *wanted)}
             Path(folder, "out").mkdir()
             line = [self.task, *map(str, self.words), *self._options(Path(folder))]
             text, errors = io.StringIO(), _Without(f"{folder}/")
             with contextlib.redirect_stdout(text), contextlib.redirect_stderr(errors):
                 try:
-                    arguments = _parsed([*line, *(f"--{name}={file}" for name, file in files.items())], line)
+                    words = [*line, *(f"--{name}={file}" for name, file in files.items())]
+                    arguments = _parsed(words, [word.replace(f"{folder}/", "") for word in line])
                     status = int(arguments.run(arguments) or 0)
                 except (ParameterError, BagError) as error:
                     raise type(error)(str(error).replace(f"{folder}/", "")) from error
@@ -177,9 +179,7 @@ class Call(NamedTuple):
             elif value is True:
                 words.append(option)
             elif value is not None and value is not False:
-                words += [
-                    f"{option}={_word(one, folder, f'{name}_{i}')}" for i, one in enumerate(_several(value))
-                ]
+                words += [f"{option}={_word(one, folder, name)}" for one in _several(value)]
         return words
 
 
@@ -214,8 +214,9 @@ def _word(value: Any, folder: Path, name: str) -> str:
                 f"an array of {motion.dtype} with the shape {motion.shape} is no motion; "
                 "give one real number [V] per sample"
             )
-        np.save(folder / f"{name}.npy", np.asarray(motion, dtype=float), allow_pickle=False)
-        return str(folder / f"{name}.npy")
+        path = _new(folder / f"{name}.npy")
+        np.save(path, np.asarray(motion, dtype=float), allow_pickle=False)
+        return str(path)
     if isinstance(value, Law):
         add_law(value)
         return value.name
@@ -227,12 +228,16 @@ def _word(value: Any, folder: Path, name: str) -> str:
         plain = {f"/**/{node}": outputs.plain(dict(values)) for node, values in value.items()}
         value = Parameters(as_yaml(plain), {})
     if isinstance(value, Parameters):
-        path = folder / value.name
-        while path.exists():
-            path = path.with_stem(f"{path.stem}_")
+        path = _new(folder / value.name)
         value.save(path)
         return str(path)
     return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def _new(path: Path) -> Path:
+    """``path``, with a number if it exists."""
+    paths = (path.with_stem(f"{path.stem}_{i}") for i in itertools.count(2))
+    return next(p for p in itertools.chain([path], paths) if not p.exists())
 
 
 @functools.cache
@@ -263,7 +268,7 @@ def _contents(file: Path) -> Iterator[tuple[str, Any]]:
             with np.load(path, allow_pickle=False) as arrays:
                 yield end, dict(arrays)
         elif kind == ".yaml":
-            yield end, load(path)._replace(name=f"gains{end}.yaml")
+            yield end, load(path)
         else:
             text = path.read_text(encoding="utf-8")
             if kind == ".csv":

@@ -415,6 +415,13 @@ def test_a_coarse_time_keeps_the_rows_together(tmp_path, reference):
     assert np.array_equal(found.voltage[:-1], reference.voltage[first:-1])
 
 
+def test_another_column_shows_that_commas_separate_decimals(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t [ms];U [V];LVDT [mA]\n0;0,000;12,000\n1;1,250;12,004\n2;2,500;12,008\n")
+    voltage, current = (column.values for column in logs.read(path, [])[1:])
+    assert voltage.tolist() == [0.0, 1.25, 2.5] and current.tolist() == [12.0, 12.004, 12.008]
+
+
 def test_empty_cells_are_no_messages(tmp_path, reference):
     """A command that a logger writes at 100 Hz is held between its rows."""
     table = rows(reference)

@@ -30,6 +30,7 @@ from valve_control.control.commands import arrays
 from valve_control.control.parameters import files as parameter_files
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
+from valve_control.recordings.bags.errors import BagError
 
 if TYPE_CHECKING:
     from valve_control.design.identification.experiment import Experiment
@@ -206,6 +207,12 @@ def _recorded(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | 
     paths = [path for path in (arguments.bag, arguments.friction) if path is not None]
     tests = []
     for path, part in zip(paths, ({}, {"start": None, "end": None}), strict=False):  # of a triangle all
-        loaded = load(arguments, path, **part)
+        try:
+            loaded = load(arguments, path, **part)
+        except BagError as error:
+            if not arguments.map or len(paths) == 1:
+                raise
+            both = "--map counts for both tests: give two bags, or two tables with the same columns"
+            raise BagError(f"{error} ({both})") from error
         tests.append(recorded.recorded(loaded, valve_of(arguments, path, loaded.valves)))
     return tests[0], tests[1] if len(tests) > 1 else None

@@ -206,7 +206,7 @@ def title_of(arguments: argparse.Namespace, law: str, settings: Mapping[str, Val
     motion = f"{source['scenario']} of {source['amplitude']:g} V"
     motion += f", {frequency:g} Hz" if frequency else ""
     if source["scenario"] == "array":
-        motion = Path(str(source["command_file"])).name
+        motion = Path(str(source["command_file"])).stem
     valve = settings["valve_simulator"]["valve"]
     gains = "recorded parameters" if _is_recording(arguments) else "default parameters"
     return f"{law} ({names_of_files(arguments, gains)}) on the valve {valve}: {motion}"

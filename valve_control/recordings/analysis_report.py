@@ -194,11 +194,8 @@ def _signals(valve: ValveAnalysis, signals: Aligned) -> list[Piece]:
         for spell in spells
         if spell.start_s < end and spell.end_s > begin
     ]
-    figure = Figure(
-        _signal_plots(valve, signals),
-        marks=[at_time(signals, change.time) for change in changes],
-        bands=bands,
-    )
+    marks = [at_time(signals, change.time) for change in changes]
+    figure = Figure(_signal_plots(valve, signals), marks=marks, bands=bands)
     legend = Aside("bands", ["yellow: degraded, red: safe, grey: inactive or unknown"])
     return [*([legend] if bands else []), figure]
 

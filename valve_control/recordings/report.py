@@ -6,6 +6,8 @@ import html
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from valve_control.arrays import Floats
 from valve_control.control.analysis import page
 from valve_control.control.analysis.figures import Band, Line, Plot
@@ -105,16 +107,19 @@ def index_table(rows: Sequence[tuple[str, str, Indices, str]], most: int | None 
     """Table of indices: name, law, I1-I5, remark."""
     head = ["", "law", "e_M [V]", "e_F [V]", "e_rms [V]", "u_rms [V]", "c_u", ""]
     form = "{:.4f} {:.4f} {:.4f} {:.3f} {:.4f}"
-    cells = [(name, law, *form.format(*v).split(), remark) for name, law, v, remark in rows]
+    cells = [
+        (name, law, *form.format(*v).replace("nan", "?").split(), remark) for name, law, v, remark in rows
+    ]
     return Table(head, cells, most)
 
 
 def plots_of(time: Floats, plots: Mapping[str, Sequence[tuple[str, Floats, str]]]) -> list[Plot]:
-    """Plots by title: lines with label, values at ``time`` [s] and colour."""
-    return [
-        Plot(title, [Line(label, time, values, colour) for label, values, colour in lines])
+    """Plots by title: lines with label, values at ``time`` [s] and colour; without any number left out."""
+    found = {
+        title: [Line(label, time, y, colour) for label, y, colour in lines if np.isfinite(y).any()]
         for title, lines in plots.items()
-    ]
+    }
+    return [Plot(title, lines) for title, lines in found.items() if lines]
 
 
 def plain(value: Any) -> Any:

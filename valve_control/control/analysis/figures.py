@@ -60,7 +60,7 @@ def draw_traces(paths: Sequence[Path], traces: Mapping[str, Trace], title: str, 
     stroke = float(np.ptp(first.command))
     errors = {label: trace.position - trace.command for label, trace in traces.items()}
     sizes = {label: float(np.sqrt(np.nanmean(np.square(error)))) for label, error in errors.items()}
-    top, middle, bottom = [Line("command", first.time, first.command, "black")], [], []
+    top, middle, bottom = list[Line](), list[Line](), list[Line]()
     for i, (label, trace) in enumerate(traces.items()):
         colour, time = COLOURS[i % len(COLOURS)], trace.time
         error, rms = errors[label], sizes[label]
@@ -70,6 +70,7 @@ def draw_traces(paths: Sequence[Path], traces: Mapping[str, Trace], title: str, 
         if rms <= FAR * np.nanmin([*sizes.values()]):
             middle.append(Line(label, time, 1e3 * error, colour))
         bottom.append(Line(label, time, trace.voltage, colour))
+    top.append(Line("command", first.time, first.command, "black", "--"))
     name = "error [mV]" if len(middle) == len(traces) else "small errors [mV]"
     plots = [Plot("spool position [V]", top), Plot(name, middle), Plot("voltage [V]", bottom)]
     draw_columns(paths, {"": plots}, "time [s]", title, figure=figure)
@@ -103,6 +104,8 @@ def draw_columns(
             axis.set_ylabel(plot.title)
             axis.set_yscale("log" if plot.logarithmic else "linear")
             axis.set_xscale("log" if logarithmic_x else "linear")
+            if logarithmic_x:
+                axis.xaxis.set_major_formatter("{x:g}")
             labels = {line.label for line in plot.lines}
             if len(plot.lines) > 1 and not labels <= told:
                 above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}

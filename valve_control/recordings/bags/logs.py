@@ -25,6 +25,7 @@ HEAD = 50  # lines among which the first row of numbers is
 COMMENTS = ("#", "%")
 MISSING = {"", "na", "n/a", "null"}
 THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
+DECIMAL_COMMA = re.compile(r"\s*[+-]?(0,\d+|\d+,(\d\d?|\d{4,}))\s*")
 UNITS = {
     **{"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9},
     **{"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "uv": 1e-6, "µv": 1e-6, "kv": 1e3},
@@ -126,12 +127,9 @@ def _text(path: Path, notes: list[str]) -> list[Column]:
         found = [Column(*column) for column in zip(names, values.T.copy(), [""] * count, units, strict=True)]
     else:
         numbers, rows = _rows(path, body, begin, separator, count, labview is not None, notes)
-        found = [
-            _column(name, unit, at, cells, numbers, separator)
-            for at, (name, unit, cells) in enumerate(
-                zip(names, units, zip(*rows, strict=True), strict=True), 1
-            )
-        ]
+        sure = separator != "," and any(DECIMAL_COMMA.fullmatch(cell) for row in rows for cell in row)
+        columns = enumerate(zip(names, units, zip(*rows, strict=True), strict=True), 1)
+        found = [_column(at, *column, numbers, separator, sure) for at, column in columns]
     header = dict(cells[:2] for cells in above if len(cells) > 1)
     if labview is not None and np.isnan(found[0].values).all():
         with suppress(KeyError, ValueError):  # there are no times then
@@ -267,17 +265,17 @@ def _names(above: Sequence[list[str]], count: int) -> tuple[list[str], list[str]
 
 
 def _column(
-    name: str, unit: str, at: int, cells: Sequence[str], lines: Sequence[int], separator: str
+    at: int, name: str, unit: str, cells: Sequence[str], lines: Sequence[int], separator: str, decimal: bool
 ) -> Column:
-    """The column ``at`` this place from 1, whose ``cells`` stand in ``lines``: numbers, or stamps."""
+    """The column at this place from 1, of ``cells`` in ``lines``; ``decimal``: commas separate decimals."""
     first = next((cell for cell in map(str.strip, cells) if cell.lower() not in MISSING), "")
     stamp = STAMP.fullmatch(first)
     commas = [cell for cell in cells if "," in cell] if separator != "," and stamp is None else []
     flaw = "" if first else "nothing"
     if commas and any("." in cell for cell in cells):
         flaw = f"'{commas[0][:LONGEST]}', with a comma where others have a decimal point"
-    elif commas and all(map(THOUSANDS.fullmatch, commas)):
-        flaw = "commas, which may separate decimals or thousands"
+    elif commas and not decimal and all(map(THOUSANDS.fullmatch, commas)):
+        flaw = "commas, which may separate decimals or thousands; write decimals with a point"
     values = np.full(len(cells), np.nan)
     for row, cell in enumerate(() if flaw else map(str.strip, cells)):
         if cell.lower() in MISSING:
