@@ -31,7 +31,7 @@ def test_a_function_gives_what_the_command_writes(tmp_path, capsys):
     error = run.arrays["position"] - run.arrays["command"]
     assert np.sqrt(np.mean(error**2)) == pytest.approx(run["true_error"]["e_rms"], rel=1e-9)
     assert "<pre>" in run._repr_html_() and len(run.to_dataframe()) == len(MOTION)
-    assert "pid (my_valve.yaml) on the valve custom: command " in run.plot().get_suptitle()
+    assert run.plot().get_suptitle() == "pid (my_valve.yaml) on the valve custom: command"
 
 
 def test_the_loop_of_margins_has_the_phase_margin_that_it_tells():
