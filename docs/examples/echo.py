@@ -6,6 +6,7 @@ python echo.py /controller/state
 """
 
 import importlib
+import signal
 import sys
 import time
 
@@ -15,19 +16,30 @@ from rclpy.qos import qos_profile_sensor_data
 from std_msgs.msg import Float64MultiArray
 
 
+def text(value: object, indent: str = "") -> str:
+    """Fields of a message, one in a line."""
+    if hasattr(value, "get_fields_and_field_types"):
+        names = value.get_fields_and_field_types()
+        return "".join(f"\n{indent}{name}:{text(getattr(value, name), indent + '  ')}" for name in names)
+    if isinstance(value, list) and value and hasattr(value[0], "get_fields_and_field_types"):
+        return "".join(f"\n{indent}-{text(item, indent + '  ')}" for item in value)
+    return f" {value}"
+
+
 def show(message: object) -> None:
-    """Print a message; numbers with labels, such as those of ~/state, one in a line."""
+    """Print a message; numbers with labels, such as those of ~/state, each behind its label."""
     if isinstance(message, Float64MultiArray) and message.layout.dim:
-        for dimension, number in zip(message.layout.dim, message.data, strict=False):
-            print(f"{dimension.label}: {number:.6g}")
-        print("---", flush=True)
+        pairs = zip(message.layout.dim, message.data, strict=False)
+        print("\n".join(f"{dimension.label}: {number:.6g}" for dimension, number in pairs))
     else:
-        print(message, flush=True)
+        print(text(message).lstrip())
+    print("---", flush=True)
 
 
 def main() -> int:
     """0 after Ctrl-C or SIGTERM, 2 if nobody publishes the topic."""
     topic = (sys.argv + [""])[1]
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `| head` ends it
     rclpy.init(args=[])
     try:
         node = rclpy.create_node("echo")
