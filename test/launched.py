@@ -9,13 +9,15 @@ from pathlib import Path
 
 SHARE = Path(__file__).resolve().parents[1]
 VARIABLE = re.compile(r"\$\(var (\w+)\)")
-EQUALS = re.compile(r"\$\(equals (\S*) (\S*)\)")
+EQUALS = re.compile(r"\$\(equals (\S*) ([^\s)]*)\)")
+EITHER = re.compile(r"\$\(or (true|false) (true|false)\)")
 
 
 def filled(text, values):
     """``text`` with the values of its variables and the folder of the package."""
     text = VARIABLE.sub(lambda variable: str(values[variable.group(1)]), text)
     text = EQUALS.sub(lambda pair: str(pair.group(1) == pair.group(2)).lower(), text)
+    text = EITHER.sub(lambda pair: str("true" in pair.groups()).lower(), text)
     return text.replace("$(find-pkg-share valve_control)", str(SHARE))
 
 

@@ -75,17 +75,28 @@ def test_choices_are_all_that_there_is():
             assert choices(file, name) == set(lookup(ROS_NODES["axis_controller"], name).choices)
 
 
-def test_a_controller_with_its_device_has_no_simulator_beside_it():
+def test_the_example_of_two_valves_gives_each_a_namespace_and_arguments_that_exist():
+    root = ET.parse(ROOT / "docs" / "examples" / "two_valves.launch.xml").getroot()
+    given = [{a.get("name"): a.get("value") for a in i.findall("arg")} for i in root.iter("include")]
+    assert len({one["namespace"] for one in given}) == len(given) == 2
+    for one in given:
+        assert set(one) <= VALVE and one["controller"] in choices("valve", "controller")
+
+
+def test_who_has_the_device_takes_the_place_of_the_simulator():
     root = ET.parse(FILES["valve"]).getroot()
     for given, there in (
         ({}, {"/boom/valve_simulator", "/boom/controller"}),
         ({"simulate": "false"}, {"/boom/controller"}),
         ({"driver": "serial"}, {"/boom/controller"}),
+        ({"driver": "valve_driver"}, {"/boom/valve_driver", "/boom/controller"}),
     ):
         values = variables(FILES["valve"], namespace="boom", **given)
         assert set(dict(nodes(root, values))) == there
         handed = parameters(FILES["valve"], "/boom/controller", namespace="boom", **given)
-        assert ("driver:=serial" in handed) == ("driver" in given)
+        assert [word for word in handed if word.startswith("driver:=")] == (
+            ["driver:=serial"] if given.get("driver") == "serial" else []
+        )
 
 
 def values_of(name, file):

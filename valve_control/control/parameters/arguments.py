@@ -18,8 +18,9 @@ def check(arguments: Sequence[str], nodes: Mapping[str, Table]) -> list[str]:
     """Check a command line for the nodes of a process; ``nodes``: parameter tables by full name.
 
     Raises ParameterError for a parameter that is addressed to one of them and does not exist. Returns
-    warnings: of unknown names in sections for several nodes, which may be meant for others, and of a file
-    that has something for a node of the same name elsewhere only.
+    warnings: of unknown names in sections for several nodes, which may be meant for others, of a file
+    that has something for a node of the same name elsewhere only, and of a section for the node
+    `valve_driver` if a controller has the device itself.
     """
     warnings = []
     first = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
@@ -47,6 +48,13 @@ def _check_file(path: str, nodes: Mapping[str, Table]) -> list[str]:
             if unknown and "*" not in section.node:
                 raise ParameterError(text)
             warnings += [text] * bool(unknown)
+            driver = f"{node.rpartition('/')[0]}/valve_driver"
+            has_device = node != driver and any(parameter.name == "driver" for parameter in table)
+            if has_device and section.node == "valve_driver" and matches(section.pattern, driver):
+                warnings.append(
+                    f"section '{section.pattern}' of {path} is not used, since {node} has the device itself; "
+                    f"write its parameters into a section of {node}"
+                )
     names = {node.rpartition("/")[2] for node in nodes}
     if not any(matches(section.pattern, node) for section in sections for node in nodes) and names & {
         section.node for section in sections
