@@ -33,9 +33,10 @@ from valve_control.arrays import Floats
 from valve_control.cli.command import parser
 from valve_control.cli.common import OUTPUTS, option_of
 from valve_control.control.laws.law import Law
-from valve_control.control.parameters import build, files
+from valve_control.control.parameters import files
 from valve_control.control.parameters.controller import add_law
 from valve_control.control.parameters.ros_file import as_text, as_yaml
+from valve_control.control.simulation import offline
 from valve_control.parameter import ParameterError, Values
 from valve_control.recordings.bags.errors import BagError
 
@@ -116,7 +117,7 @@ class Result(dict[str, Any]):
         """
         if not hasattr(self.arguments, "settings"):
             raise ParameterError(f"{self.arguments.task} gives no law; a result of simulate does")
-        return build.law_function(self.arguments.settings["controller"])
+        return offline.law_function(self.arguments.settings["controller"])
 
 
 class Call(NamedTuple):
@@ -240,9 +241,7 @@ def _new(path: Path) -> Path:
     return next(p for p in itertools.chain([path], paths) if not p.exists())
 
 
-@functools.cache
-def _parser() -> argparse.ArgumentParser:
-    return parser()
+_parser = functools.cache(parser)
 
 
 def _actions(task: str) -> dict[str, argparse.Action]:

@@ -73,7 +73,8 @@ def _margins(arguments: argparse.Namespace) -> None:
     for warning in filter(None, warnings):
         print(f"warning: {warning}", file=sys.stderr)
     rows = {name: margins.as_dict(one) for name, one in found.items()}
-    loop = margins.open_loop(linear_loop.linear_law(law, params), seen)[slopes.phase_deg.argmin()]
+    loops = -linear_loop.law_response(linear_loop.linear_law(law, params), seen.z) * seen.response
+    loop = loops[slopes.phase_deg.argmin()]
     response = {"frequency_hz": seen.omega / (2.0 * math.pi), "real": loop.real, "imaginary": loop.imag}
     write_json(arguments, {"controller": law.name, "margins": rows, "response": response})
 

@@ -183,23 +183,6 @@ def delivery_of(arguments: argparse.Namespace, values: Values) -> delivery.Deliv
     return result
 
 
-def _result(run: offline.Run, settings: Mapping[str, Values]) -> dict[str, Any]:
-    return {
-        "controller": run.controller,
-        "valve": settings["valve_simulator"]["valve"],
-        "scenario": settings["command_source"]["scenario"],
-        "sample_period": run.period,
-        "duration": len(run.command) * run.period,
-        "seed": settings["valve_simulator"]["seed"],
-        "indices": run.indices._asdict(),
-        "true_error": run.true_error,
-        "steps": run.steps and dict(zip(("overshoot", "settling_s"), run.steps, strict=True)),
-        "theta": run.theta,
-        **limit_cycle.as_dict(run.saturated, run.limit_cycle),
-        "warning": run.warning or None,
-    }
-
-
 def title_of(arguments: argparse.Namespace, law: str, settings: Mapping[str, Values]) -> str:
     """Title of a figure: law, files of its gains, valve and motion."""
     source, frequency = settings["command_source"], build.highest_frequency(settings["command_source"])
@@ -284,7 +267,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
             print("estimates at the end: " + ", ".join(f"{name} {v:.4g}" for name, v in estimates))
     _traces(arguments, run)
     _figure(arguments, [run], settings)
-    write_json(arguments, _result(run, settings))
+    write_json(arguments, offline.as_dict(run, settings))
 
 
 def _traces(arguments: argparse.Namespace, run: offline.Run) -> None:
@@ -311,7 +294,7 @@ def _compare(arguments: argparse.Namespace) -> None:
         for run in runs:
             _print(run)
     _figure(arguments, runs, settings)
-    write_json(arguments, {"runs": [_result(run, settings) for run in runs]})
+    write_json(arguments, {"runs": [offline.as_dict(run, settings) for run in runs]})
 
 
 def _parameters(arguments: argparse.Namespace) -> None:

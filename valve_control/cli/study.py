@@ -7,8 +7,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from valve_control import interrupts
 from valve_control.cli.common import (
     THREADS,
@@ -26,7 +24,6 @@ from valve_control.cli.common import (
     wrote,
 )
 from valve_control.cli.simulate import settings_of, setup_options, title_of
-from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_columns
 from valve_control.control.commands import arrays
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files, ros_file
@@ -34,7 +31,7 @@ from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, number, updated, word
 
 if TYPE_CHECKING:
-    from valve_control.control.simulation.robustness import Quantity, Study, StudyResult
+    from valve_control.control.simulation.robustness import Quantity, Study
 
 LIMIT = (
     "a loop with a larger error [V] in the last two seconds counts as unstable (0.15; if the command moves "
@@ -115,7 +112,8 @@ def _study(arguments: argparse.Namespace) -> int:
         print(f"all results are in {folder}")
     if arguments.figure is not None:
         title = title_of(arguments, result["controller"], chosen.settings)
-        _draw(Path(arguments.figure), found, f"{title}, {len(found.period)} valves around it")
+        title += f", {len(found.period)} valves around it"
+        robustness.draw_errors(Path(arguments.figure), found, title)
         wrote(arguments, arguments.figure)
     write_json(arguments, result)
     return 0
@@ -189,18 +187,6 @@ def _print(result: dict[str, Any]) -> None:
         f"{result['valves']} valves ({', '.join(shares)})"
     )
     print(f"worst by e_rms (--replay N): {', '.join(map(str, result['worst']['e_rms']))}")
-
-
-def _draw(path: Path, found: "StudyResult", title: str) -> None:
-    plots = []
-    for name in ("e_rms", "e_M", "e_F"):
-        lines = []
-        for i, period in enumerate(np.unique(found.period)):
-            values = np.sort(getattr(found.results, name)[(found.period == period) & found.results.finite])
-            share = 100.0 * (np.arange(len(values)) + 1.0) / max(1, len(values))
-            lines.append(Line(f"sampled every {1e3 * period:g} ms", values, share, COLOURS[i % len(COLOURS)]))
-        plots.append(Plot(f"{name}: valves [%]", lines))
-    draw_columns([path], {"": plots}, "at most [V]", title, logarithmic_x=True)
 
 
 def _write_valve(arguments: argparse.Namespace, chosen: "Study") -> None:

@@ -70,9 +70,9 @@ def draw_traces(paths: Sequence[Path], traces: Mapping[str, Trace], title: str, 
         if rms <= FAR * np.nanmin([*sizes.values()]):
             middle.append(Line(label, time, 1e3 * error, colour))
         bottom.append(Line(label, time, trace.voltage, colour))
-    top.append(Line("command", first.time, first.command, "black", "--"))
     name = "error [mV]" if len(middle) == len(traces) else "small errors [mV]"
-    plots = [Plot("spool position [V]", top), Plot(name, middle), Plot("voltage [V]", bottom)]
+    command = Line("command", first.time, first.command, "black", "--")
+    plots = [Plot("spool position [V]", [*top, command]), Plot(name, middle), Plot("voltage [V]", bottom)]
     draw_columns(paths, {"": plots}, "time [s]", title, figure=figure)
 
 
@@ -101,10 +101,9 @@ def draw_columns(
             for i, line in enumerate(plot.lines):
                 colour = line.colour or COLOURS[i % len(COLOURS)]
                 axis.plot(line.x, line.y, line.style, color=colour, lw=1.0, ms=3.0, label=line.label)
-            axis.set_ylabel(plot.title)
-            axis.set_yscale("log" if plot.logarithmic else "linear")
-            axis.set_xscale("log" if logarithmic_x else "linear")
+            axis.set(ylabel=plot.title, yscale="log" if plot.logarithmic else "linear")
             if logarithmic_x:
+                axis.set_xscale("log")
                 axis.xaxis.set_major_formatter("{x:g}")
             labels = {line.label for line in plot.lines}
             if len(plot.lines) > 1 and not labels <= told:

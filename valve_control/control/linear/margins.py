@@ -75,7 +75,7 @@ def margins(law: Law, params: Any, box: Box) -> Margins:
     """Margins of ``law`` with ``params`` around each valve of ``box``."""
     linear = linear_loop.linear_law(law, params, steps=linear_loop.stepped_side_by_side)
     radius = np.abs(linear_loop.dominant_poles(linear, box.valves))
-    loop = open_loop(linear, box)
+    loop = -linear_loop.law_response(linear, box.z) * box.response
     rows = np.empty((len(loop), 6))
     compile_function(_sweep, nogil=True)(loop, box.omega, rows)
     gain, reduction, phase, delay, sensitivity, response = rows.T
@@ -90,11 +90,6 @@ def margins(law: Law, params: Any, box: Box) -> Margins:
         for name, row in found._asdict().items()
     }
     return Margins(**{**if_stable, "radius": radius})
-
-
-def open_loop(law: linear_loop.LinearLaw, box: Box) -> Complexes:
-    """Response L (N×F) of the loop of ``law`` around each valve of ``box``, cut at the voltage."""
-    return -linear_loop.law_response(law, box.z) * box.response
 
 
 def worst(found: Margins) -> Margins:

@@ -6,16 +6,12 @@ A controller needs laws alone, so plants and commands are imported where they ar
 """
 
 import os
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from valve_control.arrays import Floats
-from valve_control.control.laws import command_lead, linearisation
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.laws.signals import Start
-from valve_control.control.plant.saturation import saturate
 from valve_control.parameter import ParameterError, Values, number, word
 
 if TYPE_CHECKING:
@@ -39,28 +35,6 @@ def law_params(values: Values, accepted: Values | None = None) -> Any:
         for name, law in LAWS.items()
         if name == chosen or not changed <= LAWS.keys() - {name}
     }[chosen]
-
-
-def law_function(values: Values) -> Callable[[float, float], float]:
-    """The law, from rest, as a function: voltage [V] from command and reading [V]. Raises ParameterError."""
-    kind, limit = LAWS[word(values, "controller")], number(values, "command_limit")
-    own = kind.build(values)
-    params = linearisation.behind(values, own)
-    law, lead = linearisation.module_of(kind.module, params), command_lead.build(values, kind.reshapes(own))
-    memory: list[Any] = []  # of lead and law
-
-    def voltage(command: float, reading: float) -> float:
-        wanted = saturate(command, limit)
-        start = Start(reading, 0.0, reading, 0.0, 0.0)
-        before, state = memory or (command_lead.initial(wanted), law.initial(params, start))
-        if lead is not None:
-            before = command_lead.step(lead, before, wanted)
-            wanted = command_lead.led(lead, before, wanted)
-        result, state, _ = law.step(params, state, wanted, reading, 0.0)
-        memory[:] = before, state
-        return float(result)
-
-    return voltage
 
 
 def valve_model(values: Values) -> "TransferFunction":

@@ -3,7 +3,7 @@
 """Simulates one whole run offline: law, valve and command as in the nodes, without middleware."""
 
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from valve_control.arrays import Floats
 from valve_control.control import closed_loop
+from valve_control.control.analysis import limit_cycle as limit_cycles
 from valve_control.control.analysis import steps
 from valve_control.control.analysis.indices import Indices, indices, rms
 from valve_control.control.analysis.limit_cycle import LimitCycle, limit_cycle
@@ -23,6 +24,7 @@ from valve_control.control.linear import stability
 from valve_control.control.parameters import build
 from valve_control.control.plant import registry
 from valve_control.control.plant.models import LIKE, TransferFunction
+from valve_control.control.plant.saturation import saturate
 from valve_control.control.simulation import delivery
 from valve_control.control.simulation.delivery import Delivery
 from valve_control.parameter import ParameterError, Values, number, word
@@ -263,3 +265,43 @@ def _probe(loop: _Loop, least: float, compiled: bool) -> str:
                 "stable; lower the gains"
             )
     return ""
+
+
+def law_function(values: Values) -> Callable[[float, float], float]:
+    """The law, from rest, as a function: voltage [V] from command and reading [V]. Raises ParameterError."""
+    kind, limit = LAWS[word(values, "controller")], number(values, "command_limit")
+    own = kind.build(values)
+    params = linearisation.behind(values, own)
+    law, lead = linearisation.module_of(kind.module, params), command_lead.build(values, kind.reshapes(own))
+    memory: list[Any] = []  # of lead and law
+
+    def voltage(command: float, reading: float) -> float:
+        wanted = saturate(command, limit)
+        start = Start(reading, 0.0, reading, 0.0, 0.0)
+        before, state = memory or (command_lead.initial(wanted), law.initial(params, start))
+        if lead is not None:
+            before = command_lead.step(lead, before, wanted)
+            wanted = command_lead.led(lead, before, wanted)
+        result, state, _ = law.step(params, state, wanted, reading, 0.0)
+        memory[:] = before, state
+        return float(result)
+
+    return voltage
+
+
+def as_dict(run: Run, settings: Mapping[str, Values]) -> dict[str, Any]:
+    """``run`` with the ``settings`` by node that it had, for JSON."""
+    return {
+        "controller": run.controller,
+        "valve": settings["valve_simulator"]["valve"],
+        "scenario": settings["command_source"]["scenario"],
+        "sample_period": run.period,
+        "duration": len(run.command) * run.period,
+        "seed": settings["valve_simulator"]["seed"],
+        "indices": run.indices._asdict(),
+        "true_error": run.true_error,
+        "steps": run.steps and dict(zip(("overshoot", "settling_s"), run.steps, strict=True)),
+        "theta": run.theta,
+        **limit_cycles.as_dict(run.saturated, run.limit_cycle),
+        "warning": run.warning or None,
+    }

@@ -22,6 +22,7 @@ import scipy.stats
 
 from valve_control import outputs, parameter
 from valve_control.arrays import Floats
+from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_columns
 from valve_control.control.commands import arrays
 from valve_control.control.compiling import LANES, sources_digest
 from valve_control.control.laws import command_lead, linearisation
@@ -298,3 +299,16 @@ def summary(found: StudyResult, limit: float = LIMIT, count: int = 10) -> dict[s
         "percentiles": {name: percentiles(name) for name in names},
         "worst": {name: worst(name) for name in ("e_rms", "e_M", "e_F")},
     }
+
+
+def draw_errors(path: Path, found: StudyResult, title: str) -> None:
+    """Draw the distributions of the errors, a colour for each sample period. Raises OSError."""
+    plots = []
+    for name in ("e_rms", "e_M", "e_F"):
+        lines = []
+        for i, period in enumerate(np.unique(found.period)):
+            values = np.sort(getattr(found.results, name)[(found.period == period) & found.results.finite])
+            share = 100.0 * (np.arange(len(values)) + 1.0) / max(1, len(values))
+            lines.append(Line(f"sampled every {1e3 * period:g} ms", values, share, COLOURS[i % len(COLOURS)]))
+        plots.append(Plot(f"{name}: valves [%]", lines))
+    draw_columns([path], {"": plots}, "at most [V]", title, logarithmic_x=True)

@@ -25,7 +25,6 @@ from valve_control.control.plant.models import TransferFunction
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.identification import bode_fit
-from valve_control.design.identification.bode_fit import Fit
 from valve_control.design.identification.characteristic import TOLD_OVERLAP
 from valve_control.parameter import ParameterError, Values, defaults
 
@@ -168,12 +167,12 @@ def solenoid_values(m: Magnet, sensor_delay: float) -> Values:
 
 def fitted(
     records: Sequence[Record],
-    fits: Sequence[Fit],
+    fits: Sequence[bode_fit.Fit],
     friction: Friction,
     offset: float,
     rest: Rest,
     tell: Callable[[], None] = lambda: None,
-    richer: Callable[[], Sequence[Fit]] = tuple,
+    richer: Callable[[], Sequence[bode_fit.Fit]] = tuple,
 ) -> Plant:
     """The valve whose simulation comes nearest to ``records``, of the order of one of ``fits``.
 
@@ -300,7 +299,7 @@ class _Form(NamedTuple):
         lower[-3], lower[-1], upper[-1] = 0.0, 0.0, max(LATEST, LATEST_TIME / self.period)
         return lower, upper
 
-    def begin(self, fit: Fit, friction: Friction, offset: float) -> Floats:
+    def begin(self, fit: bode_fit.Fit, friction: Friction, offset: float) -> Floats:
         """Unknowns of a search that begins at ``fit``, within their bounds and not upon them."""
         roots, static = np.roots(fit.model.denominator), fit.model.denominator[-1]
         factor = np.minimum(1.0, FIRST_POLE * _fastest(self.period) / np.abs(roots))
@@ -343,7 +342,7 @@ class _Tests(NamedTuple):
         return plant._replace(error=float(np.sqrt(np.mean(self.errors(plant) ** 2))))
 
 
-def _near(tests: _Tests, fit: Fit, friction: Friction, offset: float) -> Plant:
+def _near(tests: _Tests, fit: bode_fit.Fit, friction: Friction, offset: float) -> Plant:
     """The valve of the form of ``fit`` near it, with this ``friction`` and ``offset`` [V] at first."""
     form = _Form(fit.order, len(fit.model.numerator), friction.static_ratio, tests.period)
 
@@ -436,7 +435,7 @@ def refined(
 
 
 def _with_solenoids(
-    tests: _Tests, fits: Sequence[Fit], linear: Plant, friction: Friction, offset: float
+    tests: _Tests, fits: Sequence[bode_fit.Fit], linear: Plant, friction: Friction, offset: float
 ) -> Plant:
     """The valve with solenoids near a third order of ``fits``, if clearly better than the ``linear`` one.
 

@@ -372,9 +372,8 @@ def draw(found: Characteristic, path: str) -> None:
         Line("rising voltage", found.voltage, found.rising),
         Line("falling voltage", found.voltage, found.falling),
     ]
-    ends = found.voltage[-1], found.voltage[0]
-    for side, end, where in zip((found.positive, found.negative), ends, ("above", "below"), strict=True):
+    for side, end in ((found.positive, found.voltage[-1]), (found.negative, found.voltage[0])):
         at = np.array([side.edge.value, end])
-        label = f"{side.gain.value:.3g} V/V {where} {side.edge.value:.3g} V"
+        label = f"{side.gain.value:.3g} V/V {'above' if end > 0.0 else 'below'} {side.edge.value:.3g} V"
         lines.append(Line(label, at, side.gain.value * (at - side.edge.value), "black", "--"))
     draw_columns([Path(path)], {"": [Plot("position [V]", lines)]}, "voltage [V]", "characteristic curve")

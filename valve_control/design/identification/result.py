@@ -271,10 +271,7 @@ def plain(value: Any) -> Any:
 
 
 def draw_bode(paths: Sequence[Path], found: Identification, figure: Any = None) -> None:
-    """Draw the measured response, its coherence and the fits.
-
-    ``paths`` and ``figure``: as for ``draw_columns``. Raises OSError.
-    """
+    """Draw measured response, coherence and fits; ``paths`` and ``figure``: as for ``draw_columns``."""
     m = found.measured
     assert m is not None
     frequency, plots = np.geomspace(m.frequency[0], m.frequency[-1], 500), []
