@@ -66,12 +66,12 @@ Source = Parameters | Mapping[str, Mapping[str, Any]] | str | os.PathLike[str]
 class Result(dict[str, Any]):
     """Result of a task: the numbers of --json, and what else the task gives."""
 
-    text: str  # that the command prints
-    passed: bool  # whether gains are accepted
-    arrays: Mapping[str, Floats]  # signals by name, [samples]; of several valves VALVE/NAME
-    parameters: Parameters | None  # of the fitted valve, or the accepted gains
-    page: str | None  # report of a bag in HTML
-    arguments: argparse.Namespace  # of the command
+    text: str  #: that the command prints
+    passed: bool  #: whether gains are accepted
+    arrays: Mapping[str, Floats]  #: signals by name, [samples]; of several valves VALVE/NAME
+    parameters: Parameters | None  #: of the fitted valve, or the accepted gains
+    page: str | None  #: report of a bag in HTML
+    arguments: argparse.Namespace  #: of the command
 
     def __repr__(self) -> str:
         return self.text
@@ -120,7 +120,7 @@ class Result(dict[str, Any]):
         return offline.law_function(self.arguments.settings["controller"])
 
 
-class Call(NamedTuple):
+class _Call(NamedTuple):
     """A task with its arguments: positional words, parameter files, and options by name."""
 
     task: str
@@ -288,17 +288,17 @@ def simulate(*parameters: Source, **options: Any) -> Result:
 
     Arrays: time [s], command, position, measurement, voltage [V], and the terms of the law.
     """
-    return Call("simulate", (), parameters, options).result("npz")
+    return _Call("simulate", (), parameters, options).result("npz")
 
 
 def compare(*parameters: Source, **options: Any) -> Result:
     """Simulate all controllers on one valve."""
-    return Call("compare", (), parameters, options).result()
+    return _Call("compare", (), parameters, options).result()
 
 
 def identify(*parameters: Source, bag: str | os.PathLike[str] | None = None, **options: Any) -> Result:
     """Fit transfer functions to the test ``bag``, or a simulated one; gives parameters and the response."""
-    return Call("identify", () if bag is None else (bag,), parameters, options).result("output")
+    return _Call("identify", () if bag is None else (bag,), parameters, options).result("output")
 
 
 def tune(*parameters: Source, **options: Any) -> Result:
@@ -306,7 +306,7 @@ def tune(*parameters: Source, **options: Any) -> Result:
     law = options.get("controller")
     if isinstance(law, str) and ("," in law or law == "all"):
         raise ParameterError(f"controller is {law}; tune takes one law, call it for each")
-    return Call("tune", (), parameters, options).result("output")
+    return _Call("tune", (), parameters, options).result("output")
 
 
 def margins(*parameters: Source, **options: Any) -> Result:
@@ -314,17 +314,17 @@ def margins(*parameters: Source, **options: Any) -> Result:
 
     Arrays: frequency_hz [Hz], real and imaginary part of the open loop's response around this valve.
     """
-    return Call("margins", (), parameters, options).result()
+    return _Call("margins", (), parameters, options).result()
 
 
 def analyze(bag: str | os.PathLike[str], **options: Any) -> Result:
     """Sample rates, indices, estimates and spectra of a ``bag`` or log; gives arrays and a page."""
-    return Call("analyze", (bag,), (), options).result("csv", "html")
+    return _Call("analyze", (bag,), (), options).result("csv", "html")
 
 
 def replay(bag: str | os.PathLike[str], *parameters: Source, **options: Any) -> Result:
     """Replay a ``bag`` in shadow; gives arrays and a page."""
-    return Call("replay", (bag,), parameters, options).result("csv", "html")
+    return _Call("replay", (bag,), parameters, options).result("csv", "html")
 
 
 def _describe_options() -> None:
