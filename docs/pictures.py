@@ -87,13 +87,15 @@ def numbers_of_table(page: str, head: str) -> dict[str, list[float]]:
 
 
 def screenshot(page: str, path: Path, height: int, top: int = 0) -> None:
-    """Picture of an HTML file, as Chromium shows it 1000 wide, from line ``top`` to line ``height``."""
+    """Picture of an HTML file, as Chromium shows it 1000 wide, from the gap above line ``top`` to ``height``."""
     browser = shutil.which("chromium") or "chromium"
     options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
     options += [f"--window-size=1000,{height}", f"--screenshot={path}", "--virtual-time-budget=8000"]
     address = Path(page).resolve().as_uri()
     subprocess.run([browser, *options, address], check=True, capture_output=True, timeout=120)
-    plt.imsave(path, plt.imread(path)[top:])
+    shot = plt.imread(path)
+    blank = np.flatnonzero(shot[: top + 1, :, :3].min(axis=(1, 2)) > 0.99)
+    plt.imsave(path, shot[blank[-1] :])
 
 
 @contextlib.contextmanager
@@ -398,7 +400,7 @@ def linearised(path: Path) -> None:
     for i, (label, files) in enumerate((("pid", []), ("pid, linearised", ["--params-file", "curve.yaml"]))):
         words = ["--controller", "pid", "--scenario", "sine", "--set", "frequency=1.0", "--duration", "3.0"]
         s = simulated(f"run{i}", *valve, *words, "--params-file", "valve.yaml", *files)
-        colour, error = COLOURS[1 + i], 1e3 * (s["position"] - s["command"])
+        colour, error = COLOURS[(1, 4)[i]], 1e3 * (s["position"] - s["command"])
         top.plot(s["time"], error, color=colour, lw=1.0, label=label)
         bottom.plot(s["time"], s["voltage"], color=colour, lw=0.8)
     top.set_ylabel("error [mV]")
@@ -421,9 +423,11 @@ def raised_gain(path: Path) -> None:
         valve_control("simulate", *words, "--set", f"oarc.ks1={gain}", "--set", f"oarc.ks2={gain}")
         indices.append(json.loads(Path("gain.json").read_text())["indices"])
     figure, (top, bottom) = axes(2, 5.0)
-    top.semilogx(gains, [i["e_rms"] for i in indices], "o-", color=COLOURS[0])
-    bottom.semilogx(gains, [i["c_u"] for i in indices], "o-", color=COLOURS[1])
-    top.set(ylabel="e_rms [V]", title="OARC on the valve of config/d3fxe.yaml")
+    top.loglog(gains, [1e3 * i["e_rms"] for i in indices], "o-", color=COLOURS[2])
+    bottom.semilogx(gains, [i["c_u"] for i in indices], "o-", color=COLOURS[2])
+    top.set_ylabel("e_rms [mV]")
+    top.set_title("OARC on the valve of config/d3fxe.yaml", loc="left")
+    top.yaxis.set_major_formatter("{x:g}")
     bottom.set(ylabel="chatter c_u", xlabel="oarc.ks1 = oarc.ks2 [1/s]")
     bottom.set_xticks(gains, [f"{gain:g}" for gain in gains], minor=False)
     bottom.set_xticks([], minor=True)
@@ -564,7 +568,7 @@ def lead_law(path: Path) -> None:
     subprocess.run([sys.executable, "-m", *words, "./lead_law"], check=True)
     ENVIRONMENT["PYTHONPATH"] = f"{ROOT}{os.pathsep}{Path('plugin').resolve()}"
     figure, (top, bottom) = axes(2, 5.2)
-    for law, colour, *words in (("open_loop", "0.55"), ("lead", COLOURS[2], "--set", "lead.gain=3.0")):
+    for law, colour, *words in (("open_loop", "0.55"), ("lead", COLOURS[5], "--set", "lead.gain=3.0")):
         s = simulated(law, "--controller", law, *words)
         top.plot(s["time"], s["position"], color=colour, lw=1.0, label=law)
         bottom.plot(s["time"], 1e3 * (s["position"] - s["command"]), color=colour, lw=1.0)
@@ -585,8 +589,9 @@ def exported_watch(path: Path) -> None:
     reading, voltage = np.array(rows).T
     figure, (top, bottom) = axes(2, 5.0)
     top.plot(reading, ".", ms=1.5, color=COLOURS[0])
-    bottom.plot(voltage, color=COLOURS[1], lw=0.6)
-    top.set(ylabel="reading [V]", ylim=(-12.0, 12.0), title="run of check.csv, with its faults")
+    bottom.plot(voltage, color=COLOURS[2], lw=0.6)
+    top.set(ylabel="reading [V]", ylim=(-12.0, 12.0))
+    top.set_title("run of check.csv, with its faults", loc="left")
     bottom.set(ylabel="voltage [V]", xlabel="sample")
     save(figure, path)
 
@@ -595,7 +600,7 @@ def exported_watch(path: Path) -> None:
 def paper(path: Path) -> None:
     """Head of the page with the paper's Table 1."""
     run("research.paper", "--offline", "--out", "paper")
-    screenshot("paper/index.html", path, 1100)
+    screenshot("paper/index.html", path, 1125)
 
 
 def main(names: Sequence[str]) -> int:

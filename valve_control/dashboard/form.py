@@ -53,7 +53,7 @@ class Row:
                 self._slider = ui.slider(min=0, max=STEPS).props(f'aria-label="slider of {self.name}"')
                 self._slider.on("update:model-value", self._slid, throttle=THROTTLE)
             else:
-                ui.element("span")
+                self._entry.classes("vc-wide")
             between = "" if parameter.choices else parameter.range_text
             ui.label("; ".join(filter(None, (parameter.text, between)))).classes("vc-help")
             self._refusal = ui.label("").classes("vc-refusal").props("role=alert")

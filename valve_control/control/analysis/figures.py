@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draws runs over time and other curves with matplotlib, as PNG or SVG files."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -12,6 +13,7 @@ from valve_control import outputs
 from valve_control.arrays import Floats
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+LAW_COLOURS = {**dict(zip(("dcarc", "pid", "oarc", "arc"), COLOURS, strict=False)), "open_loop": "#8C8C8C"}
 FAR = 6.0  # times the least error of several runs, beyond which an error would hide the others
 
 
@@ -51,7 +53,7 @@ class Plot(NamedTuple):
 
 
 def draw_traces(path: Path, traces: Mapping[str, Trace], title: str) -> None:
-    """Draw command and position, error, and voltage over time, a colour per run. The runs have one command.
+    """Draw command and position, error, and voltage over time, a colour per law. The runs have one command.
 
     Raises OSError if ``path`` cannot be written.
     """
@@ -59,9 +61,11 @@ def draw_traces(path: Path, traces: Mapping[str, Trace], title: str) -> None:
     stroke = float(np.ptp(first.command))
     errors = {label: trace.position - trace.command for label, trace in traces.items()}
     sizes = {label: float(np.sqrt(np.nanmean(np.square(error)))) for label, error in errors.items()}
-    top, middle, bottom = [Line("command", first.time, first.command, "black")], [], []
-    for i, (label, trace) in enumerate(traces.items()):
-        colour, time = COLOURS[i % len(COLOURS)], trace.time
+    top, middle, bottom = [], [], []
+    taken = [LAW_COLOURS.get(label) for label in traces]
+    others = itertools.cycle(colour for colour in reversed(COLOURS) if colour not in taken)
+    for label, trace in traces.items():
+        colour, time = LAW_COLOURS.get(label) or next(others), trace.time
         error, rms = errors[label], sizes[label]
         label += f": {float(f'{1e3 * rms:.3g}'):g} mV rms"
         label += f", {100.0 * rms / stroke:.2g} % of stroke" if stroke > 0.0 else ""
@@ -69,6 +73,7 @@ def draw_traces(path: Path, traces: Mapping[str, Trace], title: str) -> None:
         if rms <= FAR * np.nanmin([*sizes.values()]):
             middle.append(Line(label, time, 1e3 * error, colour))
         bottom.append(Line(label, time, trace.voltage, colour))
+    top.append(Line("command", first.time, first.command, "black", "--"))
     name = "error [mV]" if len(middle) == len(traces) else "small errors [mV]"
     plots = [Plot("spool position [V]", top), Plot(name, middle), Plot("voltage [V]", bottom)]
     draw_columns([path], {"": plots}, "time [s]", title)

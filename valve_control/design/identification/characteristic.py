@@ -372,8 +372,11 @@ def draw(found: Characteristic, path: str) -> None:
         Line("rising voltage", found.voltage, found.rising),
         Line("falling voltage", found.voltage, found.falling),
     ]
-    for side, end in ((found.positive, found.voltage[-1]), (found.negative, found.voltage[0])):
+    for name, side, end in (
+        ("above", found.positive, found.voltage[-1]),
+        ("below", found.negative, found.voltage[0]),
+    ):
         at = np.array([side.edge.value, end])
-        label = f"{side.gain.value:.3g} V/V from {side.edge.value:.3g} V on"
+        label = f"{side.gain.value:.3g} V/V {name} {side.edge.value:.2g} V"
         lines.append(Line(label, at, side.gain.value * (at - side.edge.value), "black", "--"))
     draw_columns([Path(path)], {"": [Plot("position [V]", lines)]}, "voltage [V]", "characteristic curve")
