@@ -5,7 +5,7 @@
 Without a name it makes all of them. Each function below is one picture. It runs
 the commands of its page in a temporary folder and draws their results, or takes a picture of their report in
 Chromium. The pictures that other commands make are demo.png (``make demo``), axes.png (``make axis``),
-compare_tuned.png (``make tuned``) and dashboard_*.png (the page itself).
+and compare_tuned.png (``make tuned``).
 """
 
 import contextlib
@@ -39,6 +39,8 @@ ENVIRONMENT = {
     "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", "83"),  # not among other nodes of this machine
     "AMENT_PREFIX_PATH": os.environ.get("AMENT_PREFIX_PATH", str(ROOT / ".venv")),
 }
+os.environ.update(ENVIRONMENT)
+sys.path.insert(0, str(ROOT))  # benchmarks is not installed
 PICTURES: dict[str, Callable[[Path], None]] = {}
 
 
@@ -138,6 +140,44 @@ def record(bag: str) -> None:
         time.sleep(2.0)
         subprocess.run([*setter, "controller=pid"], env=ENVIRONMENT, check=True, timeout=20)
         time.sleep(5.0)
+
+
+@contextlib.contextmanager
+def page(*commands: Sequence[str]) -> Iterator[Any]:
+    """A browser at the dashboard beside these nodes, when it shows the gains of a PID."""
+    from benchmarks.page import browser
+
+    with nodes(["dashboard", "-p", "port:=0"], *commands):
+        log = Path("dashboard.log")
+        while "open http" not in log.read_text():
+            time.sleep(0.1)
+        with browser(log.read_text().split("open ")[1].split()[0]) as driver:
+            driver.implicitly_wait(60)
+            driver.find_element("css selector", "[data-name='pid.kp'] input")
+            time.sleep(8.0)  # until the plots are full
+            yield driver
+
+
+def enter(driver: Any, name: str, text: str) -> None:
+    """Type the value of a parameter into its field."""
+    from selenium.webdriver import Keys
+
+    field = driver.find_element("css selector", f"[data-name='{name}'] input")
+    field.send_keys(Keys.CONTROL, "a")
+    field.send_keys(text, Keys.ENTER)
+
+
+def move(topic: str, position: float) -> None:
+    """Send a goal of an axis again and again for 1.5 s, in which its node comes to know of the publisher."""
+    import rclpy
+    from std_msgs.msg import Float64
+
+    rclpy.init(args=[])
+    publisher = rclpy.create_node("goals").create_publisher(Float64, topic, 10)
+    for _ in range(15):
+        publisher.publish(Float64(data=position))
+        time.sleep(0.1)
+    rclpy.shutdown()
 
 
 # Drawing
@@ -427,7 +467,8 @@ def raised_gain(path: Path) -> None:
     bottom.semilogx(gains, [i["c_u"] for i in indices], "o-", color=COLOURS[2])
     top.set_ylabel("e_rms [mV]")
     top.set_title("OARC on the valve of config/d3fxe.yaml", loc="left")
-    top.yaxis.set_major_formatter("{x:g}")
+    top.set_yticks([20, 50, 100, 200, 500], ["20", "50", "100", "200", "500"])
+    top.set_yticks([], minor=True)
     bottom.set(ylabel="chatter c_u", xlabel="oarc.ks1 = oarc.ks2 [1/s]")
     bottom.set_xticks(gains, [f"{gain:g}" for gain in gains], minor=False)
     bottom.set_xticks([], minor=True)
@@ -491,6 +532,64 @@ def fault_reactions(path: Path) -> None:
     axis.grid(True, alpha=0.3)
     legend(axis)
     save(figure, path)
+
+
+# Watch
+
+CALM = ("sample_period:=0.005", "lvdt.hold_samples:=2000", "lvdt.period_limit:=1000.0", "pid.kd:=0.0",
+        "lvdt.frozen_samples:=0", "lvdt.max_rate:=1e7", "controller:=pid",
+        "pid.form:=plain", "pid.kp:=1.0", "pid.ki:=20.0")  # fmt: skip
+CALM_VALVE = ("sample_period:=0.005", "voltage_timeout:=0.0", "patience:=0.2", "friction.coulomb:=0.2")
+SLOW_SINE = ("sample_period:=0.005", "scenario:=sine", "frequency:=0.5", "amplitude:=1.0", "duration:=600.0")
+
+
+def calm_valve() -> list[list[str]]:
+    """A valve at 200 Hz, which bears the pauses that a browser makes on a small machine."""
+    valve = ("--params-file", "config/d3fxe.yaml")
+    return [
+        ["valve_simulator", *valve, *(word for text in CALM_VALVE for word in ("-p", text))],
+        ["controller", *valve, *(word for text in CALM for word in ("-p", text))],
+        ["command_source", *(word for text in SLOW_SINE for word in ("-p", text))],
+    ]
+
+
+@picture
+def dashboard_tune(path: Path) -> None:
+    """The page of a valve; a gain has been changed."""
+    with page(*calm_valve()) as driver:
+        enter(driver, "pid.kp", "1.5")
+        time.sleep(3.0)
+        driver.execute_script("document.activeElement.blur(); scrollTo(0, 0)")
+        time.sleep(1.0)
+        driver.save_screenshot(str(path))
+
+
+@picture
+def dashboard_refused(path: Path) -> None:
+    """A value out of range, and one that the node refuses."""
+    with page(*calm_valve()) as driver:
+        enter(driver, "pid.kp", "-3.5")
+        enter(driver, "pid.break_frequency", "0.1")
+        time.sleep(3.0)
+        driver.execute_script("scrollTo(0, 400)")
+        time.sleep(1.0)
+        driver.save_screenshot(str(path))
+
+
+@picture
+def dashboard_axis(path: Path) -> None:
+    """The page of a valve that moves an axis."""
+    machine = ("-r", "__ns:=/boom", "--params-file", "config/axis/bench.yaml")
+    with page(
+        ["axis_simulator", *machine, "-p", "clock:=lockstep"],
+        ["controller", *machine, "-p", "lockstep:=true", "-p", "lvdt.frozen_samples:=0"],
+        ["axis_controller", *machine, "-p", "lockstep:=true"],
+    ) as driver:
+        for goal in 3 * (0.3, 0.2):
+            move("/boom/goal_position", goal)
+        driver.execute_script("scrollTo(0, 200)")
+        move("/boom/goal_position", 0.3)
+        driver.save_screenshot(str(path))
 
 
 # Record
