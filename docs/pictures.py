@@ -600,7 +600,7 @@ def analysis(path: Path) -> None:
     """Head of the report of analyze."""
     my_recording()
     valve_control("analyze", "first_run", "--html", "first_run.html")
-    screenshot("first_run.html", path, 1745, 260)
+    screenshot("first_run.html", path, 1690, 205)
 
 
 @picture
