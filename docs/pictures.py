@@ -89,7 +89,7 @@ def numbers_of_table(page: str, head: str) -> dict[str, list[float]]:
 
 
 def screenshot(page: str, path: Path, height: int, top: int = 0) -> None:
-    """Picture of an HTML file, as Chromium shows it 1000 wide, from the gap above line ``top`` to ``height``."""
+    """Picture of an HTML file as Chromium shows it 1000 wide, from the gap above line ``top`` on."""
     browser = shutil.which("chromium") or "chromium"
     options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
     options += [f"--window-size=1000,{height}", f"--screenshot={path}", "--virtual-time-budget=8000"]
@@ -699,7 +699,7 @@ def exported_watch(path: Path) -> None:
 def paper(path: Path) -> None:
     """Head of the page with the paper's Table 1."""
     run("research.paper", "--offline", "--out", "paper")
-    screenshot("paper/index.html", path, 1125)
+    screenshot("paper/index.html", path, 1190)
 
 
 def main(names: Sequence[str]) -> int:

@@ -387,7 +387,8 @@ def test_without_a_valve_the_page_says_what_is_missing(browser, tmp_path, monkey
 READABLE = """
 const numbers = (colour) => colour.match(/[\\d.]+/g).map(Number);
 const light = (rgb) => {
-  const [r, g, b] = rgb.map((v) => v / 255).map((v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+  const linear = (v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+  const [r, g, b] = rgb.map((v) => linear(v / 255));
   return 0.2126 * r + 0.7152 * g + 0.0722 * b;
 };
 const ground = (element) => {
@@ -398,7 +399,8 @@ const ground = (element) => {
 const bad = [];
 for (const element of document.querySelectorAll('body *')) {
   const text = [...element.childNodes].filter((n) => n.nodeType === 3).map((n) => n.data).join('').trim();
-  if (!text || !element.checkVisibility({visibilityProperty: true}) || element.closest('[disabled]')) continue;
+  const seen = element.checkVisibility({visibilityProperty: true}) && !element.closest('[disabled]');
+  if (!text || !seen) continue;
   const [a, b] = [numbers(getComputedStyle(element).color).slice(0, 3), ground(element)].map(light);
   const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
   if (contrast < 4.5) bad.push(`${text.slice(0, 40)}: ${contrast.toFixed(2)}`);
@@ -407,7 +409,8 @@ return bad;
 """
 DRAWN = """
 const canvas = document.querySelector('[data-panel=voltage] canvas');
-const colour = getComputedStyle(canvas).getPropertyValue('--vc-green').match(/\\w\\w/g).map((v) => parseInt(v, 16));
+const green = getComputedStyle(canvas).getPropertyValue('--vc-green');
+const colour = green.match(/\\w\\w/g).map((v) => parseInt(v, 16));
 const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
 for (let k = 0; k < data.length; k += 4) {
   if (data[k + 3] > 200 && colour.every((v, n) => Math.abs(v - data[k + n]) < 6)) return true;
