@@ -35,7 +35,7 @@ function niceStep(range, count) {
 
 function label(value, step) {
   if (Math.abs(value) < step / 2) value = 0; // not -0.00
-  if (step < 1e-6 || step > 5e4) return `${value && (+value.toPrecision(3)).toExponential()}`;
+  if (step > 5e4) return `${value && (+value.toPrecision(3)).toExponential()}`;
   const digits = Math.max(0, Math.min(8, -Math.floor(Math.log10(step) + 1e-9)));
   return value.toFixed(digits);
 }
@@ -329,8 +329,8 @@ export default {
         }
         g.stroke();
         if (at === null) nearest = time.length - 1;
-        // Terms have sizes of their own; other signals are told to a hundredth of a step of their axis.
-        const told = (v) => (name.startsWith("term.") ? `${+v.toPrecision(3)}` : label(v, step / 100));
+        // Terms have sizes of their own; other signals are told to a hundredth of a step of their axis, 1e-4 at the most.
+        const told = (v) => (name.startsWith("term.") ? `${+v.toPrecision(3)}` : label(v, Math.max(step / 100, 1e-4)));
         const [least, largest] = nearest < 0 ? ["", ""] : [lows[nearest], highs[nearest]].map(told);
         const value = least === largest ? least : `${least} to ${largest}`;
         const title = name.replace(/^(term|axis)\./, "");
