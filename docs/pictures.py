@@ -5,7 +5,7 @@
 Without a name it makes all of them. Each function below is one picture. It runs
 the commands of its page in a temporary folder and draws their results, or takes a picture of their report in
 Chromium. The pictures that other commands make are demo.png (``make demo``), axes.png (``make axis``),
-compare_tuned.png (``make tuned``) and dashboard_*.png (the page itself).
+and compare_tuned.png (``make tuned``).
 """
 
 import contextlib
@@ -39,6 +39,8 @@ ENVIRONMENT = {
     "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", "83"),  # not among other nodes of this machine
     "AMENT_PREFIX_PATH": os.environ.get("AMENT_PREFIX_PATH", str(ROOT / ".venv")),
 }
+os.environ.update(ENVIRONMENT)
+sys.path.insert(0, str(ROOT))  # benchmarks is not installed
 PICTURES: dict[str, Callable[[Path], None]] = {}
 
 
@@ -87,13 +89,15 @@ def numbers_of_table(page: str, head: str) -> dict[str, list[float]]:
 
 
 def screenshot(page: str, path: Path, height: int, top: int = 0) -> None:
-    """Picture of an HTML file, as Chromium shows it 1000 wide, from line ``top`` to line ``height``."""
+    """Picture of an HTML file as Chromium shows it 1000 wide, from the gap above line ``top`` on."""
     browser = shutil.which("chromium") or "chromium"
     options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
     options += [f"--window-size=1000,{height}", f"--screenshot={path}", "--virtual-time-budget=8000"]
     address = Path(page).resolve().as_uri()
     subprocess.run([browser, *options, address], check=True, capture_output=True, timeout=120)
-    plt.imsave(path, plt.imread(path)[top:])
+    shot = plt.imread(path)
+    blank = np.flatnonzero(shot[: top + 1, :, :3].min(axis=(1, 2)) > 0.99)
+    plt.imsave(path, shot[blank[-1] :])
 
 
 @contextlib.contextmanager
@@ -136,6 +140,44 @@ def record(bag: str) -> None:
         time.sleep(2.0)
         subprocess.run([*setter, "controller=pid"], env=ENVIRONMENT, check=True, timeout=20)
         time.sleep(5.0)
+
+
+@contextlib.contextmanager
+def page(*commands: Sequence[str]) -> Iterator[Any]:
+    """A browser at the dashboard beside these nodes, when it shows the gains of a PID."""
+    from benchmarks.page import browser
+
+    with nodes(["dashboard", "-p", "port:=0"], *commands):
+        log = Path("dashboard.log")
+        while "open http" not in log.read_text():
+            time.sleep(0.1)
+        with browser(log.read_text().split("open ")[1].split()[0]) as driver:
+            driver.implicitly_wait(60)
+            driver.find_element("css selector", "[data-name='pid.kp'] input")
+            time.sleep(8.0)  # until the plots are full
+            yield driver
+
+
+def enter(driver: Any, name: str, text: str) -> None:
+    """Type the value of a parameter into its field."""
+    from selenium.webdriver import Keys
+
+    field = driver.find_element("css selector", f"[data-name='{name}'] input")
+    field.send_keys(Keys.CONTROL, "a")
+    field.send_keys(text, Keys.ENTER)
+
+
+def move(topic: str, position: float) -> None:
+    """Send a goal of an axis again and again for 1.5 s, in which its node comes to know of the publisher."""
+    import rclpy
+    from std_msgs.msg import Float64
+
+    rclpy.init(args=[])
+    publisher = rclpy.create_node("goals").create_publisher(Float64, topic, 10)
+    for _ in range(15):
+        publisher.publish(Float64(data=position))
+        time.sleep(0.1)
+    rclpy.shutdown()
 
 
 # Drawing
@@ -407,7 +449,7 @@ def linearised(path: Path) -> None:
     for i, (label, files) in enumerate((("pid", []), ("pid, linearised", ["--params-file", "curve.yaml"]))):
         words = ["--controller", "pid", "--scenario", "sine", "--set", "frequency=1.0", "--duration", "3.0"]
         s = simulated(f"run{i}", *valve, *words, "--params-file", "valve.yaml", *files)
-        colour, error = COLOURS[1 + i], 1e3 * (s["position"] - s["command"])
+        colour, error = COLOURS[(1, 4)[i]], 1e3 * (s["position"] - s["command"])
         top.plot(s["time"], error, color=colour, lw=1.0, label=label)
         bottom.plot(s["time"], s["voltage"], color=colour, lw=0.8)
     top.set_ylabel("error [mV]")
@@ -430,9 +472,12 @@ def raised_gain(path: Path) -> None:
         valve_control("simulate", *words, "--set", f"oarc.ks1={gain}", "--set", f"oarc.ks2={gain}")
         indices.append(json.loads(Path("gain.json").read_text())["indices"])
     figure, (top, bottom) = axes(2, 5.0)
-    top.semilogx(gains, [i["e_rms"] for i in indices], "o-", color=COLOURS[0])
-    bottom.semilogx(gains, [i["c_u"] for i in indices], "o-", color=COLOURS[1])
-    top.set(ylabel="e_rms [V]", title="OARC on the valve of config/d3fxe.yaml")
+    top.loglog(gains, [1e3 * i["e_rms"] for i in indices], "o-", color=COLOURS[2])
+    bottom.semilogx(gains, [i["c_u"] for i in indices], "o-", color=COLOURS[2])
+    top.set_ylabel("e_rms [mV]")
+    top.set_title("OARC on the valve of config/d3fxe.yaml", loc="left")
+    top.set_yticks([20, 50, 100, 200, 500], ["20", "50", "100", "200", "500"])
+    top.set_yticks([], minor=True)
     bottom.set(ylabel="chatter c_u", xlabel="oarc.ks1 = oarc.ks2 [1/s]")
     bottom.set_xticks(gains, [f"{gain:g}" for gain in gains], minor=False)
     bottom.set_xticks([], minor=True)
@@ -498,6 +543,64 @@ def fault_reactions(path: Path) -> None:
     save(figure, path)
 
 
+# Watch
+
+CALM = ("sample_period:=0.005", "lvdt.hold_samples:=2000", "lvdt.period_limit:=1000.0", "pid.kd:=0.0",
+        "lvdt.frozen_samples:=0", "lvdt.max_rate:=1e7", "controller:=pid",
+        "pid.form:=plain", "pid.kp:=1.0", "pid.ki:=20.0")  # fmt: skip
+CALM_VALVE = ("sample_period:=0.005", "voltage_timeout:=0.0", "patience:=0.2", "friction.coulomb:=0.2")
+SLOW_SINE = ("sample_period:=0.005", "scenario:=sine", "frequency:=0.5", "amplitude:=1.0", "duration:=600.0")
+
+
+def calm_valve() -> list[list[str]]:
+    """A valve at 200 Hz, which bears the pauses that a browser makes on a small machine."""
+    valve = ("--params-file", "config/d3fxe.yaml")
+    return [
+        ["valve_simulator", *valve, *(word for text in CALM_VALVE for word in ("-p", text))],
+        ["controller", *valve, *(word for text in CALM for word in ("-p", text))],
+        ["command_source", *(word for text in SLOW_SINE for word in ("-p", text))],
+    ]
+
+
+@picture
+def dashboard_tune(path: Path) -> None:
+    """The page of a valve; a gain has been changed."""
+    with page(*calm_valve()) as driver:
+        enter(driver, "pid.kp", "1.5")
+        time.sleep(3.0)
+        driver.execute_script("document.activeElement.blur(); scrollTo(0, 0)")
+        time.sleep(1.0)
+        driver.save_screenshot(str(path))
+
+
+@picture
+def dashboard_refused(path: Path) -> None:
+    """A value out of range, and one that the node refuses."""
+    with page(*calm_valve()) as driver:
+        enter(driver, "pid.kp", "-3.5")
+        enter(driver, "pid.break_frequency", "0.1")
+        time.sleep(3.0)
+        driver.execute_script("scrollTo(0, 400)")
+        time.sleep(1.0)
+        driver.save_screenshot(str(path))
+
+
+@picture
+def dashboard_axis(path: Path) -> None:
+    """The page of a valve that moves an axis."""
+    machine = ("-r", "__ns:=/boom", "--params-file", "config/axis/bench.yaml")
+    with page(
+        ["axis_simulator", *machine, "-p", "clock:=lockstep"],
+        ["controller", *machine, "-p", "lockstep:=true", "-p", "lvdt.frozen_samples:=0"],
+        ["axis_controller", *machine, "-p", "lockstep:=true"],
+    ) as driver:
+        for goal in 3 * (0.3, 0.2):
+            move("/boom/goal_position", goal)
+        driver.execute_script("scrollTo(0, 200)")
+        move("/boom/goal_position", 0.3)
+        driver.save_screenshot(str(path))
+
+
 # Record
 
 
@@ -506,7 +609,7 @@ def analysis(path: Path) -> None:
     """Head of the report of analyze."""
     my_recording()
     valve_control("analyze", "first_run", "--html", "first_run.html")
-    screenshot("first_run.html", path, 1745, 260)
+    screenshot("first_run.html", path, 1690, 205)
 
 
 @picture
@@ -573,7 +676,7 @@ def lead_law(path: Path) -> None:
     subprocess.run([sys.executable, "-m", *words, "./lead_law"], check=True)
     ENVIRONMENT["PYTHONPATH"] = f"{ROOT}{os.pathsep}{Path('plugin').resolve()}"
     figure, (top, bottom) = axes(2, 5.2)
-    for law, colour, *words in (("open_loop", "0.55"), ("lead", COLOURS[2], "--set", "lead.gain=3.0")):
+    for law, colour, *words in (("open_loop", "0.55"), ("lead", COLOURS[5], "--set", "lead.gain=3.0")):
         s = simulated(law, "--controller", law, *words)
         top.plot(s["time"], s["position"], color=colour, lw=1.0, label=law)
         bottom.plot(s["time"], 1e3 * (s["position"] - s["command"]), color=colour, lw=1.0)
@@ -594,8 +697,9 @@ def exported_watch(path: Path) -> None:
     reading, voltage = np.array(rows).T
     figure, (top, bottom) = axes(2, 5.0)
     top.plot(reading, ".", ms=1.5, color=COLOURS[0])
-    bottom.plot(voltage, color=COLOURS[1], lw=0.6)
-    top.set(ylabel="reading [V]", ylim=(-12.0, 12.0), title="run of check.csv, with its faults")
+    bottom.plot(voltage, color=COLOURS[2], lw=0.6)
+    top.set(ylabel="reading [V]", ylim=(-12.0, 12.0))
+    top.set_title("run of check.csv, with its faults", loc="left")
     bottom.set(ylabel="voltage [V]", xlabel="sample")
     save(figure, path)
 
@@ -604,7 +708,7 @@ def exported_watch(path: Path) -> None:
 def paper(path: Path) -> None:
     """Head of the page with the paper's Table 1."""
     run("research.paper", "--offline", "--out", "paper")
-    screenshot("paper/index.html", path, 1100)
+    screenshot("paper/index.html", path, 1190)
 
 
 def main(names: Sequence[str]) -> int:

@@ -14,14 +14,14 @@ from typing import Any
 
 from valve_control import interrupts
 from valve_control.cli.common import Parser, ended
-from valve_control.control.analysis.figures import COLOURS
+from valve_control.control.analysis import figures
 
-_DRAWN = ("dcarc", "pid", "oarc", "arc", "servo", "pid_reference")
 LAW_COLOURS = {
-    **dict(zip(_DRAWN, COLOURS, strict=True)),
-    "pid_plain": COLOURS[1],
-    "open_loop": "0.55",
-    "oracle": "0.75",
+    **figures.LAW_COLOURS,
+    "pid_plain": figures.COLOURS[1],
+    "servo": figures.COLOURS[4],
+    "pid_reference": figures.COLOURS[5],
+    "oracle": "#BFBFBF",
 }  # of each law and valve in all figures of this folder
 
 

@@ -348,7 +348,7 @@ def report(runs: list[tuple[DemoRun, Measured]], folder: Path) -> bool:
     groups: dict[str, dict[str, Trace]] = {}
     for run, measured in runs:
         time_axis = np.arange(len(measured.command), dtype=np.float64) / measured.rate
-        groups.setdefault(run.group, {})[run.name] = Trace(
+        groups.setdefault(run.group, {})[run.name.removeprefix("paper_")] = Trace(
             time_axis, measured.command, measured.measurement, measured.voltage
         )
     written = [folder / "demo.json"]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from research.paper.runs import BANDWIDTH, CLOSED_AMPLITUDE, FEEDBACK, OPEN_AMPLITUDE, open_loops
 from research.paper.traces import Trace
-from valve_control.control.analysis.figures import COLOURS, Line, Plot
+from valve_control.control.analysis.figures import COLOURS, LAW_COLOURS, Line, Plot
 from valve_control.control.laws import design
 from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.design.identification import bode
@@ -148,7 +148,9 @@ def figure_3(runs: Mapping[str, Trace], gain: float, u_max: float) -> Figure:
     labels |= {name: name.upper() for name in FEEDBACK}
     lines = {}
     notes = []
-    colours = dict(zip(labels.values(), (*COLOURS, "black"), strict=True))
+    colours = {name.upper(): LAW_COLOURS[name] for name in FEEDBACK}
+    others = [colour for colour in (*COLOURS, "black") if colour not in colours.values()]
+    colours |= dict(zip(labels.values(), others, strict=False))
     for name, label in labels.items():
         run = runs[f"response_{name}"]
         found = measured(run, run.command, u_max)
@@ -221,11 +223,12 @@ def feedback_figures(runs: Mapping[str, Trace]) -> list[Figure]:
         ],
     )
     errors = [
-        Plot(f"{n.upper()} error [V]", [Line(n.upper(), t.time, t.measurement - t.command)])
+        Plot(f"{n.upper()} error [V]", [Line(n.upper(), t.time, t.measurement - t.command, LAW_COLOURS[n])])
         for n, t in traces.items()
     ]
     voltages = [
-        Plot(f"{n.upper()} voltage [V]", [Line(n.upper(), t.time, t.voltage)]) for n, t in traces.items()
+        Plot(f"{n.upper()} voltage [V]", [Line(n.upper(), t.time, t.voltage, LAW_COLOURS[n])])
+        for n, t in traces.items()
     ]
     return [
         five,

@@ -98,7 +98,8 @@ def write(
     """
     written = [folder / "table1.json"]
     outputs.write(str(written[0]), outputs.as_json(table))
-    sections = {"Table 1": page.table(["", *Indices._fields], rows_of(table)) + page.notes(verdicts(table))}
+    head = ["", *(index if index == "c_u" else f"{index} [V]" for index in Indices._fields)]
+    sections = {"Table 1": page.table(head, rows_of(table)) + page.notes(verdicts(table), "text")}
     for figure in figures:
         paths = [folder / f"{figure.name}.png", folder / f"{figure.name}.svg"]
         draw_columns(paths, {"": figure.plots}, figure.x_title, figure.title, figure.logarithmic_x)

@@ -10,9 +10,10 @@ import numpy as np
 
 from research.theorems import adaptive, learning, loop, robust, sampling
 from research.theorems.tables import percent
-from valve_control.control.analysis.figures import COLOURS, save
+from valve_control.control.analysis.figures import COLOURS, LAW_COLOURS, save
 
 PERIOD_AXIS = "sample period ΔT [ms]"
+STYLES = {"rest": ":", "one sine": "--", "three sines": "-"}
 
 
 def _new(columns: int, width: float) -> tuple[Any, Any]:
@@ -27,9 +28,14 @@ def _new(columns: int, width: float) -> tuple[Any, Any]:
     return figure, axes
 
 
-def _save(figure: Any, paths: Sequence[Path]) -> None:
+def _finish(figure: Any, paths: Sequence[Path], plots: Sequence[Any]) -> None:
+    """Give all ``plots`` a grid and a legend above them, and write the figure."""
     import matplotlib.pyplot as plt
 
+    for axis in plots:
+        axis.grid(True, alpha=0.3)
+        axis.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
+    figure.tight_layout()
     for path in paths:
         save(figure, path)
     plt.close(figure)
@@ -43,35 +49,33 @@ def draw_theorems(
     Raises OSError if a path cannot be written.
     """
     figure, (above, scaling, decay, left) = _new(4, 18.0)
-    for i, law in enumerate(dict.fromkeys(c.law for c in bound.cells)):
+    for law in dict.fromkeys(c.law for c in bound.cells):
+        line, colour = "o--" if law == "arc_filtered" else "o-", LAW_COLOURS[law.partition("_")[0]]
         cells = [c for c in bound.cells if c.law == law]
         periods = [c.period * 1e3 for c in cells]
         share = [percent(c.breaches, c.checked) for c in cells]
-        above.plot(periods, share, "o-", color=COLOURS[i], label=robust.LAWS[law].text)
+        above.plot(periods, share, line, color=colour, label=robust.LAWS[law].text)
         s = bound.scaling(law)
         label = f"{robust.LAWS[law].text}: ΔT^{s.order:.2f}"
-        scaling.loglog(s.periods * 1e3, s.shift, "o-", color=COLOURS[i], label=label)
+        scaling.loglog(s.periods * 1e3, s.shift, line, color=colour, label=label)
     above.set(xscale="log", ylabel="checked runs with V2 above its bound [%]", xlabel=PERIOD_AXIS)
     above.set_yscale("symlog", linthresh=0.1)
     above.set_ylim(-0.01, 110.0)
     scaling.set(ylabel="sampling error of one period, over ε", xlabel=PERIOD_AXIS)
     pairs = list(dict.fromkeys((c.law, c.motion) for c in error.cells))
-    for i, (law, motion) in enumerate(pairs):
-        label = f"{law}, {motion}"
+    for law, motion in pairs:
+        style = {"color": LAW_COLOURS[law], "ls": STYLES[motion]}
+        label = f"{law.upper()}, {motion}"
         cell = error.cell(law, motion, sample_period)
         time = (np.arange(cell.z1.shape[1]) + 1.0) * error.window
-        decay.semilogy(time, np.median(cell.z1, axis=0), color=COLOURS[i], label=label)
+        decay.semilogy(time, np.median(cell.z1, axis=0), **style, label=label)
         if motion != "rest":
             o = error.order(law, motion)
             label = f"{label}: ΔT^{o.order:.2f}"
-            left.loglog(o.periods * 1e3, o.residual, "o-", color=COLOURS[i], label=label)
+            left.loglog(o.periods * 1e3, o.residual, marker="o", **style, label=label)
     decay.set(ylabel="largest |z1| in 0.5 s [V]", xlabel=f"time [s] at ΔT = {sample_period * 1e3:g} ms")
     left.set(ylabel="|z1| that is left [V]", xlabel=PERIOD_AXIS)
-    for axis in (above, scaling, decay, left):
-        axis.grid(True, alpha=0.3)
-        axis.legend(fontsize=8)
-    figure.tight_layout()
-    _save(figure, paths)
+    _finish(figure, paths, (above, scaling, decay, left))
 
 
 def draw_sample_period(paths: Sequence[Path], limits: sampling.WeightResults) -> None:
@@ -89,14 +93,10 @@ def draw_sample_period(paths: Sequence[Path], limits: sampling.WeightResults) ->
                 axis.axvline(line.critical * 1e3, color=colour, ls="--", lw=0.8)
     effort.set(ylabel="control variation c_u", xlabel=PERIOD_AXIS)
     error.set(ylabel="e_rms [V]", xlabel=PERIOD_AXIS)
-    for axis in (effort, error):
-        axis.grid(True, alpha=0.3, which="both")
-        axis.legend(fontsize=8)
     figure.suptitle(
         "OARC, gains of the paper, on model (3); dashed: sampled loop unstable from here", fontsize=10
     )
-    figure.tight_layout()
-    _save(figure, paths)
+    _finish(figure, paths, (effort, error))
 
 
 def draw_dcarc(paths: Sequence[Path], study: loop.Study, learned: learning.Experiment) -> None:
@@ -126,8 +126,4 @@ def draw_dcarc(paths: Sequence[Path], study: loop.Study, learned: learning.Exper
             speed.loglog(noises, [what(c.ratio) for c in chosen], line, color=COLOURS[i], label=text)
     speed.axhline(1.0, color="k", lw=0.8)
     speed.set(xlabel="fit_noise over the shipped one (left: fast)", ylabel="error over that without learning")
-    for axis in (broken, bound, speed):
-        axis.grid(True, alpha=0.3)
-        axis.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
-    figure.tight_layout()
-    _save(figure, paths)
+    _finish(figure, paths, (broken, bound, speed))

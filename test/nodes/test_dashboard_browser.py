@@ -382,3 +382,61 @@ def test_without_a_valve_the_page_says_what_is_missing(browser, tmp_path, monkey
         browser.driver.get(found)
         browser.wait_for("#notice", "No valve on the graph yet")
     browser.wait_for(".vc-live", "no connection to the dashboard; trying again")
+
+
+READABLE = """
+const numbers = (colour) => colour.match(/[\\d.]+/g).map(Number);
+const light = (rgb) => {
+  const linear = (v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+  const [r, g, b] = rgb.map((v) => linear(v / 255));
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const ground = (element) => {
+  const [r, g, b, alpha = 1] = numbers(getComputedStyle(element).backgroundColor);
+  const below = alpha < 1 && element.parentElement ? ground(element.parentElement) : [255, 255, 255];
+  return [r, g, b].map((v, k) => alpha * v + (1 - alpha) * below[k]);
+};
+const bad = [];
+for (const element of document.querySelectorAll('body *')) {
+  const text = [...element.childNodes].filter((n) => n.nodeType === 3).map((n) => n.data).join('').trim();
+  const seen = element.checkVisibility({visibilityProperty: true}) && !element.closest('[disabled]');
+  if (!text || !seen) continue;
+  const [a, b] = [numbers(getComputedStyle(element).color).slice(0, 3), ground(element)].map(light);
+  const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  if (contrast < 4.5) bad.push(`${text.slice(0, 40)}: ${contrast.toFixed(2)}`);
+}
+return bad;
+"""
+DRAWN = """
+const canvas = document.querySelector('[data-panel=voltage] canvas');
+const green = getComputedStyle(canvas).getPropertyValue('--vc-green');
+const colour = green.match(/\\w\\w/g).map((v) => parseInt(v, 16));
+const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+for (let k = 0; k < data.length; k += 4) {
+  if (data[k + 3] > 200 && colour.every((v, n) => Math.abs(v - data[k + n]) < 6)) return true;
+}
+return false;
+"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_all_texts_can_be_read_in_the_scheme_of_the_browser(page, scheme):
+    def prefer(value):
+        features = [{"name": "prefers-color-scheme", "value": value}]
+        page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+
+    prefer(scheme)
+    try:
+        page.type("pid.kp", "-3.5")
+        until(lambda: page.refusal("pid.kp"), "a reason in its colour")
+        grounds = {"light": "rgb(246, 247, 248)", "dark": "rgb(18, 18, 18)"}
+        until(
+            lambda: page.js("return getComputedStyle(document.body).backgroundColor") == grounds[scheme],
+            "the ground of the scheme",
+        )
+        until(lambda: page.js(DRAWN), "a line in the colour of the scheme")
+        for tab in ("#tab-log", "#tab-figures", "#tab-tune"):
+            page.click(tab)
+            until(lambda: page.js(READABLE) == [], f"texts with contrast: {page.js(READABLE)}")
+    finally:
+        prefer("")

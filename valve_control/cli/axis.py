@@ -17,7 +17,7 @@ from valve_control.cli.common import (
     write_json,
     wrote,
 )
-from valve_control.control.analysis.figures import Line, Plot, draw_columns
+from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_columns
 from valve_control.control.compiling import explained
 from valve_control.control.laws.registry import LAWS
 from valve_control.parameter import updated
@@ -96,13 +96,13 @@ def _notes(setup: "Setup", found: "Run") -> str:
 
 
 def _draw(path: Path, found: "Run", title: str) -> None:
-    s, t = found.signals, found.time
+    s, t, lag = found.signals, found.time, 1e3 * (found.signals["goal"] - found.signals["position"])
     plots = [
-        Plot("position [m]", [Line("goal", t, s["goal"], style="--"), Line("axis", t, s["position"])]),
-        Plot("error [mm]", [Line("goal less position", t, 1e3 * (s["goal"] - s["position"]))]),
+        Plot("position [m]", [Line("axis", t, s["position"]), Line("goal", t, s["goal"], "black", "--")]),
+        Plot("goal - position [mm]", [Line("goal - position", t, lag, COLOURS[1])]),
         Plot(
             "spool [V]",
-            [Line("command", t, s["spool_command"], style="--"), Line("spool", t, s["spool"])],
+            [Line("spool", t, s["spool"]), Line("command", t, s["spool_command"], "black", "--")],
         ),
         Plot(
             "pressure [bar]",

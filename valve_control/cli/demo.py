@@ -11,7 +11,7 @@ import numpy as np
 
 from valve_control.arrays import Floats
 from valve_control.cli.common import wrote
-from valve_control.control.analysis.figures import COLOURS, Line, Plot, Trace, draw_columns
+from valve_control.control.analysis.figures import LAW_COLOURS, Line, Plot, Trace, draw_columns
 from valve_control.control.analysis.indices import indices
 from valve_control.control.parameters import build, files, ros_file
 from valve_control.control.parameters.table import NODES
@@ -25,7 +25,7 @@ LAWS = {  # in config/demo, and how the table calls them
     "oarc": "OARC",
     "dcarc": "dcarc",
 }
-DRAWN = {"open_loop": "0.55", "pid": COLOURS[1], "dcarc": COLOURS[0]}
+DRAWN = {law: LAW_COLOURS[law] for law in ("open_loop", "pid", "dcarc")}
 MOTION = {"strokes of 40 V/s": (1.15, 1.85), "sines": (3.6, 4.3)}  # s  of each that the figure shows
 STROKES = 2.7  # s  until the sines begin
 STROKE = 1.5  # V

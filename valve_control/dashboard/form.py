@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -53,8 +54,9 @@ class Row:
                 self._slider = ui.slider(min=0, max=STEPS).props(f'aria-label="slider of {self.name}"')
                 self._slider.on("update:model-value", self._slid, throttle=THROTTLE)
             else:
-                ui.element("span")
-            between = "" if parameter.choices else parameter.range_text
+                self._entry.classes("vc-wide")
+            limited = math.isfinite(parameter.high - parameter.low) and not parameter.choices
+            between = parameter.range_text if limited else ""
             ui.label("; ".join(filter(None, (parameter.text, between)))).classes("vc-help")
             self._refusal = ui.label("").classes("vc-refusal").props("role=alert")
         self.refresh()
@@ -120,10 +122,10 @@ class Form:
             self._button("Save", "save", lambda: self._use_file("save"))
             self._button("Load", "load", lambda: self._use_file("load"))
         self._answer = ui.label("").classes("vc-help").props("id=file-answer role=status")
-        self._law_box = ui.element("div")
+        self._law_box = ui.element("div").classes("vc-fields")
         self._filter = ui.input("find a parameter", on_change=self._filtered)
         self._filter.props("dense outlined clearable")
-        self._list = ui.element("div")
+        self._list = ui.element("div").classes("vc-fields")
 
     @staticmethod
     def _button(text: str, name: str, act: events.Handler[events.ClickEventArguments]) -> ui.button:

@@ -67,7 +67,7 @@ class Page:
         """Show one sentence for a while."""
         if not self._client.is_deleted:
             with self._root:
-                ui.notify(text, type="warning", position="top", timeout=6000)
+                ui.notify(text, type="warning", position="bottom", timeout=6000, textColor="white")
 
     @property
     def valve(self) -> Valve | None:

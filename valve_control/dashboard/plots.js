@@ -4,11 +4,11 @@
 // What is shown (span, pause, terms) belongs to this window and outlives a reload.
 
 const FRAME = 1000 / 30; // ms between two frames, at the least
-const LEFT = 40; // px for the numbers beside the plots
+const LEFT = 52; // px for the numbers beside the plots
 const GAP = 0.3; // s without a sample, across which no line is drawn
 const SPANS = [1, 2, 5, 10, 30, 60, 120]; // s
-// Okabe and Ito's colours, which the colour-blind tell apart; dashes tell them apart in print.
-const COLOURS = ["#e69f00", "#56b4e9", "#cc79a7", "#0072b2", "#d55e00", "#009e73"];
+// Names of colours in page.css; dashes tell the lines apart in print.
+const COLOURS = ["orange", "sky", "pink", "blue", "red", "green"];
 const DASHES = [[], [6, 3], [2, 2], [8, 3, 2, 3], [12, 4], [1, 3]];
 const PANELS = [
   { name: "motion", title: "command and position [V]", signals: ["command", "position"], height: 190 },
@@ -19,12 +19,12 @@ const PANELS = [
   { name: "pressures", title: "axis: pressures [bar]", of: "axis.pressure", height: 130 },
 ];
 const STYLES = {
-  command: { colour: "#000000", dash: [6, 3] },
-  position: { colour: "#0072b2", dash: [] },
-  error: { colour: "#d55e00", dash: [] },
-  voltage: { colour: "#009e73", dash: [] },
-  "axis.goal": { colour: "#000000", dash: [6, 3] },
-  "axis.position": { colour: "#0072b2", dash: [] },
+  command: { colour: "ink", dash: [6, 3] },
+  position: { colour: "blue", dash: [] },
+  error: { colour: "red", dash: [] },
+  voltage: { colour: "green", dash: [] },
+  "axis.goal": { colour: "ink", dash: [6, 3] },
+  "axis.position": { colour: "blue", dash: [] },
 };
 
 function niceStep(range, count) {
@@ -34,6 +34,8 @@ function niceStep(range, count) {
 }
 
 function label(value, step) {
+  if (Math.abs(value) < step / 2) value = 0; // not -0.00
+  if (step > 5e4) return `${value && (+value.toPrecision(3)).toExponential()}`;
   const digits = Math.max(0, Math.min(8, -Math.floor(Math.log10(step) + 1e-9)));
   return value.toFixed(digits);
 }
@@ -73,6 +75,8 @@ export default {
     this.times = [];
     this.closed = false;
     this.pointer = null;
+    const css = getComputedStyle(this.$el);
+    this.paint = (name) => css.getPropertyValue(`--vc-${name}`);
     this.connect();
     this.onKey = (event) => this.key(event);
     this.onKeyUp = (event) => event.key === " " && !this.typing(event.target) && (event.preventDefault(), event.stopPropagation());
@@ -264,8 +268,8 @@ export default {
       // Grid
       g.font = "11px sans-serif";
       g.lineWidth = 1;
-      g.strokeStyle = "#d8d8d8";
-      g.fillStyle = "#444";
+      g.strokeStyle = this.paint("grid");
+      g.fillStyle = this.paint("help");
       g.setLineDash([]);
       g.beginPath();
       for (let v = low; v <= high + step / 2; v += step) {
@@ -287,8 +291,7 @@ export default {
       }
       g.textAlign = "left";
       // Marks of changes
-      g.strokeStyle = "#7a4b9c";
-      g.fillStyle = "#5b2d80";
+      g.strokeStyle = g.fillStyle = this.paint("mark");
       g.setLineDash([3, 3]);
       const free = [0, 0, 0]; // where each line of texts ends
       frame.marks.forEach(([t, text]) => {
@@ -310,7 +313,7 @@ export default {
       names.forEach((name, k) => {
         const style = STYLES[name] || { colour: COLOURS[k % 6], dash: DASHES[k % 6] };
         const [time, lows, highs] = frame.signals[name] || [[], [], []];
-        g.strokeStyle = style.colour;
+        g.strokeStyle = this.paint(style.colour);
         g.lineWidth = 1.4;
         g.setLineDash(time.length > 3 * width ? [] : style.dash);
         g.beginPath();
@@ -326,35 +329,37 @@ export default {
         }
         g.stroke();
         if (at === null) nearest = time.length - 1;
-        const [least, largest] = nearest < 0 ? ["", ""] : [lows[nearest], highs[nearest]].map((v) => v.toPrecision(3));
-        const value = nearest < 0 ? "" : lows[nearest] === highs[nearest] ? lows[nearest].toPrecision(4)
-          : least === largest ? least : `${least} to ${largest}`;
+        // Terms have sizes of their own; other signals are told to a hundredth of a step of their axis, 1e-4 at the most.
+        const told = (v) => (name.startsWith("term.") ? `${+v.toPrecision(3)}` : label(v, Math.max(step / 100, 1e-4)));
+        const [least, largest] = nearest < 0 ? ["", ""] : [lows[nearest], highs[nearest]].map(told);
+        const value = least === largest ? least : `${least} to ${largest}`;
         const title = name.replace(/^(term|axis)\./, "");
-        entries.push([style.colour, `${style.dash.length ? "\u2504" : "\u2014"} ${title} ${value} `]);
+        entries.push([style.colour, style.dash.length ? "\u2504" : "\u2014", `${title} ${value} `]);
       });
       if (at !== null) {
-        g.strokeStyle = "#000";
+        g.strokeStyle = this.paint("ink");
         g.setLineDash([]);
         g.lineWidth = 1;
         g.beginPath();
         g.moveTo(x(at), 0);
         g.lineTo(x(at), bottom);
         g.stroke();
-        entries.push(["", `at ${(at + frame.start - frame.now).toFixed(3)} s`]);
+        entries.push(["ink", "", `at ${(at + frame.start - frame.now).toFixed(3)} s`]);
       }
       if (this.frames % 3 === 0 || this.paused) this.tell(legend, entries);
     },
-    // Texts with their colours. The elements stay and get other texts: the browser remembers each new one for good.
+    // Lines in their colours, and texts. The elements stay and get other texts: the browser remembers each new one for good.
     tell(legend, entries) {
       while (legend.children.length > entries.length) legend.lastElementChild.remove();
       while (legend.children.length < entries.length) {
         legend.append(document.createElement("span"));
         legend.lastElementChild.append("");
       }
-      entries.forEach(([colour, text], k) => {
+      entries.forEach(([colour, line, text], k) => {
         const span = legend.children[k];
         if (span.firstChild.data !== text) span.firstChild.data = text;
-        if (span.dataset.colour !== colour) span.style.color = span.dataset.colour = colour;
+        if (span.dataset.line !== line) span.dataset.line = line;
+        if (span.dataset.colour !== colour) span.style.setProperty("--vc-line", `var(--vc-${(span.dataset.colour = colour)})`);
       });
     },
   },

@@ -74,6 +74,7 @@ class Server:
             show_welcome_message=False,
             title="valve_control",
             favicon=FAVICON,
+            dark=None,  # as the browser is
             binding_refresh_interval=0.5,
             reconnect_timeout=RECONNECT,
         )

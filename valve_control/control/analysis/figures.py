@@ -3,6 +3,7 @@
 """Draws runs over time and other curves with matplotlib, as PNG or SVG files."""
 
 import io
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +14,7 @@ from valve_control import outputs
 from valve_control.arrays import Floats
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+LAW_COLOURS = {**dict(zip(("dcarc", "pid", "oarc", "arc"), COLOURS, strict=False)), "open_loop": "#8C8C8C"}
 FAR = 6.0  # times the least error of several runs, beyond which an error would hide the others
 
 
@@ -52,7 +54,7 @@ class Plot(NamedTuple):
 
 
 def draw_traces(paths: Sequence[Path], traces: Mapping[str, Trace], title: str, figure: Any = None) -> None:
-    """Draw command and position, error, and voltage over time, a colour per run. The runs have one command.
+    """Draw command and position, error, and voltage over time, a colour per law. The runs have one command.
 
     ``paths`` and ``figure``: as for ``draw_columns``. Raises OSError.
     """
@@ -61,8 +63,10 @@ def draw_traces(paths: Sequence[Path], traces: Mapping[str, Trace], title: str, 
     errors = {label: trace.position - trace.command for label, trace in traces.items()}
     sizes = {label: float(np.sqrt(np.nanmean(np.square(error)))) for label, error in errors.items()}
     top, middle, bottom = list[Line](), list[Line](), list[Line]()
-    for i, (label, trace) in enumerate(traces.items()):
-        colour, time = COLOURS[i % len(COLOURS)], trace.time
+    taken = [LAW_COLOURS.get(label) for label in traces]
+    others = itertools.cycle(colour for colour in reversed(COLOURS) if colour not in taken)
+    for label, trace in traces.items():
+        colour, time = LAW_COLOURS.get(label) or next(others), trace.time
         error, rms = errors[label], sizes[label]
         label += f": {float(f'{1e3 * rms:.3g}'):g} mV rms"
         label += f", {100.0 * rms / stroke:.2g} % of stroke" if stroke > 0.0 else ""
@@ -70,9 +74,9 @@ def draw_traces(paths: Sequence[Path], traces: Mapping[str, Trace], title: str, 
         if rms <= FAR * np.nanmin([*sizes.values()]):
             middle.append(Line(label, time, 1e3 * error, colour))
         bottom.append(Line(label, time, trace.voltage, colour))
+    top.append(Line("command", first.time, first.command, "black", "--"))
     name = "error [mV]" if len(middle) == len(traces) else "small errors [mV]"
-    command = Line("command", first.time, first.command, "black", "--")
-    plots = [Plot("spool position [V]", [*top, command]), Plot(name, middle), Plot("voltage [V]", bottom)]
+    plots = [Plot("spool position [V]", top), Plot(name, middle), Plot("voltage [V]", bottom)]
     draw_columns(paths, {"": plots}, "time [s]", title, figure=figure)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from valve_control.arrays import Floats
 from valve_control.control.analysis import page as pages
-from valve_control.control.analysis.figures import Line, Plot
+from valve_control.control.analysis.figures import COLOURS, Line, Plot
 from valve_control.control.analysis.indices import Indices
 from valve_control.control.parameters.ros_file import as_text
 from valve_control.control.parameters.table import VALVE
@@ -70,7 +70,7 @@ def _verdict(found: Result) -> str:
         f"row were beyond ±{within.travel:g} V."
     )
     sentences.append("valve-control commission --undo restores the previous parameters.")
-    return pages.notes([*sentences, *found.notes])
+    return pages.notes(sentences, "text") + pages.notes(found.notes)
 
 
 def _valve(found: Result) -> str:
@@ -96,7 +96,9 @@ def _valve(found: Result) -> str:
         units = {parameter.name: parameter.unit for parameter in VALVE}
         own = plant.solenoid_values(valve.magnet, found.plan.sensor_delay)
         rows |= {
-            name: f"{value:.3g} {units[name]}" for name, value in own.items() if name.startswith("solenoid.")
+            name: f"{value:.3g} {units[name]}".removesuffix(" -")
+            for name, value in own.items()
+            if name.startswith("solenoid.")
         }
     return _table(rows)
 
@@ -105,15 +107,12 @@ def _figure(record: Record, shown: slice, name: str, other: Any) -> str:
     """Reading, ``other`` position [V] of this ``name``, their difference and voltage."""
     time: Floats = (np.arange(len(record.reading), dtype=np.float64) * record.period)[shown]
     reading, other = record.reading[shown], other[shown]
-    plots = {
-        "position [V]": {"reading": reading, name: other},
-        "difference [V]": {f"reading - {name}": reading - other},
-        "voltage [V]": {"voltage": record.voltage[shown]},
-    }
-    drawn = [
-        Plot(title, [Line(label, time, y) for label, y in lines.items()]) for title, lines in plots.items()
+    plots = [
+        Plot("position [V]", [Line("reading", time, reading), Line(name, time, other, "black", "--")]),
+        Plot("difference [V]", [Line(f"reading - {name}", time, reading - other, COLOURS[1])]),
+        Plot("voltage [V]", [Line("voltage", time, record.voltage[shown], COLOURS[2])]),
     ]
-    return pages.figure(drawn, "time [s]")
+    return pages.figure(plots, "time [s]")
 
 
 def _response(found: Result) -> str:

@@ -374,6 +374,6 @@ def draw(found: Characteristic, path: str) -> None:
     ]
     for side, end in ((found.positive, found.voltage[-1]), (found.negative, found.voltage[0])):
         at = np.array([side.edge.value, end])
-        label = f"{side.gain.value:.3g} V/V {'above' if end > 0.0 else 'below'} {side.edge.value:.3g} V"
+        label = f"{side.gain.value:.3g} V/V {'above' if end > 0.0 else 'below'} {side.edge.value:.2g} V"
         lines.append(Line(label, at, side.gain.value * (at - side.edge.value), "black", "--"))
     draw_columns([Path(path)], {"": [Plot("position [V]", lines)]}, "voltage [V]", "characteristic curve")
