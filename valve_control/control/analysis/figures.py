@@ -3,7 +3,6 @@
 """Draws runs over time and other curves with matplotlib, as PNG or SVG files."""
 
 import io
-import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +13,8 @@ from valve_control import outputs
 from valve_control.arrays import Floats
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-LAW_COLOURS = {**dict(zip(("dcarc", "pid", "oarc", "arc"), COLOURS, strict=False)), "open_loop": "#8C8C8C"}
+_LAWS = ("dcarc", "pid", "oarc", "arc", "compensator", "open_loop")
+LAW_COLOURS = dict(zip(_LAWS, (*COLOURS[:5], "#8C8C8C"), strict=True))
 FAR = 6.0  # times the least error of several runs, beyond which an error would hide the others
 
 
@@ -54,19 +54,14 @@ class Plot(NamedTuple):
 
 
 def draw_traces(paths: Sequence[Path], traces: Mapping[str, Trace], title: str, figure: Any = None) -> None:
-    """Draw command and position, error, and voltage over time, a colour per law. The runs have one command.
-
-    ``paths`` and ``figure``: as for ``draw_columns``. Raises OSError.
-    """
+    """Draw position, error and voltage of runs with one command over time; the rest as for ``draw_columns``."""
     first = next(iter(traces.values()))
     stroke = float(np.ptp(first.command))
     errors = {label: trace.position - trace.command for label, trace in traces.items()}
     sizes = {label: float(np.sqrt(np.nanmean(np.square(error)))) for label, error in errors.items()}
     top, middle, bottom = list[Line](), list[Line](), list[Line]()
-    taken = [LAW_COLOURS.get(label) for label in traces]
-    others = itertools.cycle(colour for colour in reversed(COLOURS) if colour not in taken)
     for label, trace in traces.items():
-        colour, time = LAW_COLOURS.get(label) or next(others), trace.time
+        colour, time = LAW_COLOURS.get(label, COLOURS[-1]), trace.time
         error, rms = errors[label], sizes[label]
         label += f": {float(f'{1e3 * rms:.3g}'):g} mV rms"
         label += f", {100.0 * rms / stroke:.2g} % of stroke" if stroke > 0.0 else ""
