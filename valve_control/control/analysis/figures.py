@@ -54,7 +54,7 @@ class Plot(NamedTuple):
 
 
 def draw_traces(paths: Sequence[Path], traces: Mapping[str, Trace], title: str, figure: Any = None) -> None:
-    """Draw position, error and voltage of runs with one command over time; the rest as for ``draw_columns``."""
+    """Draw position, error and voltage of runs with one command over time, otherwise as ``draw_columns``."""
     first = next(iter(traces.values()))
     stroke = float(np.ptp(first.command))
     errors = {label: trace.position - trace.command for label, trace in traces.items()}
