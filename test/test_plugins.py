@@ -86,6 +86,27 @@ def test_a_law_of_one_file_runs_from_python_as_the_page_shows(tmp_path):
     assert refused in page, refused
 
 
+KEPT_APART = """
+from valve_control.control import compiling
+from valve_control.control.parameters.controller import add_law
+from valve_control.control.plant.saturation import saturate
+import valve_lead_law
+before = compiling.compile_function(saturate)
+add_law(valve_lead_law.LAW)
+after = compiling.compile_function(saturate)
+print(before._cache.cache_path != after._cache.cache_path)
+"""
+
+
+def test_what_is_compiled_with_a_law_of_one_file_is_not_kept_with_the_rest(tmp_path):
+    """Other programs, which lack that file, could not read it."""
+    shutil.copy(EXAMPLE / "valve_lead_law.py", tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", KEPT_APART], capture_output=True, text=True, timeout=300, cwd=tmp_path
+    )
+    assert done.stdout == "True\n", done.stderr
+
+
 LAW = """
 import sys
 from typing import NamedTuple

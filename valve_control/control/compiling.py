@@ -43,8 +43,9 @@ def add_sources(module: types.ModuleType) -> None:
     if source is not None:
         path = Path(source).resolve()
         _packages[module.__name__.split(".")[0]] = path.parent if module.__package__ else path
-        sources_digest.cache_clear()
-        _numba.cache_clear()  # whose folder is named after the sources
+        # The folder of numba's cache is named after the sources; what has begun with another stays there.
+        for known in (sources_digest, _numba, _compile, _compiled_module):
+            known.cache_clear()
 
 
 def _ours(name: str) -> bool:
