@@ -88,10 +88,17 @@ PARAMETERS: Table = (
 
 def build(values: Values) -> Params:
     """Params from the controller's values. Raises ParameterError."""
-    gains = [number(values, parameter.name) for parameter in PARAMETERS]
     period = number(values, "sample_period")
-    filters = reshaping.build(values), velocity.design(150.0, period)  # Hz, s
-    return Params(*gains, number(values, "u_max"), period, *filters)
+    return Params(
+        gain=number(values, "lead.gain"),
+        lead=number(values, "lead.lead"),
+        integral=number(values, "lead.integral"),
+        static_gain=number(values, "lead.static_gain"),
+        u_max=number(values, "u_max"),
+        period=period,
+        reshaping=reshaping.build(values),
+        velocity=velocity.design(150.0, period),  # Hz, s
+    )
 
 
 def model(p: Params) -> tuple[float, float, float]:
