@@ -37,7 +37,7 @@ from valve_control.control.plant.models import scale_of
 from valve_control.control.simulation import batch
 from valve_control.control.simulation.robustness import Quantity
 from valve_control.design.commissioning import model, sequence
-from valve_control.design.commissioning.bench import Fault, Plan, Record, SafetyLimits, check
+from valve_control.design.commissioning.bench import Fault, Plan, SafetyLimits, check
 from valve_control.design.commissioning.plant import EXPLAINED
 from valve_control.design.tuning import box, checks, limits, search, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
@@ -279,7 +279,7 @@ class _Steps:
     def progress(self, name: str, done: float, total: float) -> None:
         self.step = name
 
-    def tested(self, name: str, record: Record) -> None:
+    def tested(self, records: sequence.Records) -> None:
         pass
 
     def fitted(self, valve: Values) -> None:

@@ -21,8 +21,8 @@ class Steps:
     def progress(self, *progress):
         self.reports.append(progress)
 
-    def tested(self, name, record):
-        self.records[name] = record
+    def tested(self, records):
+        self.records = dict(records)
 
     def fitted(self, valve):
         self.valve = valve

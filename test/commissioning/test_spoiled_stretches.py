@@ -154,10 +154,21 @@ def test_a_verification_run_of_late_messages_is_repeated_and_ends_with_the_reaso
 
 
 class Ends(Steps):
-    def tested(self, name, record):
-        super().tested(name, record)
-        if name == sequence.SINE:
+    def tested(self, records):
+        super().tested(records)
+        if sequence.SINE in records:
             raise Fault("the test wants it")
+
+
+def test_a_test_that_cannot_be_evaluated_is_made_again(monkeypatch):
+    def spoiled(record, rest):
+        raise ParameterError("no triangle")
+
+    monkeypatch.setattr(sequence.evaluation, "slow", spoiled)
+    valve, steps = Pausing([9000]), Steps()
+    with pytest.raises(ParameterError, match="no triangle"):
+        sequence.Commissioning(valve, PLAN, valve.values(), steps).run()
+    assert set(steps.records) == {sequence.REST}
 
 
 def test_a_failed_commissioning_goes_on_after_its_whole_tests(tmp_path):
@@ -166,8 +177,7 @@ def test_a_failed_commissioning_goes_on_after_its_whole_tests(tmp_path):
         sequence.Commissioning(valve, PLAN, valve.values(), steps).run()
     assert set(steps.records) == {sequence.REST, sequence.SLOW, sequence.SINE}
     kept = Folder(tmp_path, "/controller", LIMITS)
-    for name, record in steps.records.items():
-        kept.tested(name, record)
+    kept.tested(steps.records)
     records = kept.tests(0.001)
     for name, record in steps.records.items():
         assert records[name].begins == record.begins
@@ -178,7 +188,7 @@ def test_a_failed_commissioning_goes_on_after_its_whole_tests(tmp_path):
     with pytest.raises(Fault):
         sequence.Commissioning(valve, PLAN, valve.values(), again, records=records).run()
     assert len(valve.readings) - samples < 1.2 * len(steps.records[sequence.SINE].reading)
-    assert {name for name, *_ in again.reports} == {sequence.SINE}
+    assert {name for name, *_ in again.reports} == {sequence.SINE, "model"}
     assert again.records[sequence.SLOW] is records[sequence.SLOW]
     for node, limits, period in (
         ("/other", LIMITS, 0.001),

@@ -105,7 +105,7 @@ def slow(record: Record, rest: Rest) -> Static:
         rows.append(np.column_stack([reading[chosen], voltage[chosen]]))
         sides.append(np.full(len(chosen), side))
     if len({side for part in sides for side in part[:1]}) < 2:
-        raise ParameterError("the spool moved to one side alone; give a higher limit of the voltage")
+        raise ParameterError("the spool slid to one side alone: the computer is busy or the voltage too low")
     data, side_of = np.concatenate(rows), np.concatenate(sides)
     matrix = np.column_stack([data[:, 0], np.ones(len(data)), side_of])
     (slope, offset, friction), *_ = np.linalg.lstsq(matrix, data[:, 1], rcond=None)

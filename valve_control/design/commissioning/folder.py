@@ -50,7 +50,6 @@ class Folder:
         self.path, self.node, self.limits = path, node, limits
         self.results: list[Path] = []
         self._wrote = wrote
-        self._tests: dict[str, Record] = {}
         self._refusals = 0
 
     def backup(self) -> Backup | None:
@@ -106,12 +105,11 @@ class Folder:
         """Write how the commissioning stands. Raises OSError."""
         outputs.write(str(self.path / STATE), outputs.as_json({"node": self.node, "state": state}))
 
-    def tested(self, name: str, record: Record) -> None:
-        """Write a whole test, beside those before it. Raises OSError."""
-        self._tests[name] = record
+    def tested(self, records: sequence.Records) -> None:
+        """Write these whole tests. Raises OSError."""
         arrays: dict[str, Any] = {
             f"{test}.{field}": np.asarray(value)
-            for test, one in self._tests.items()
+            for test, one in records.items()
             for field, value in one._asdict().items()
         }
         packed = io.BytesIO()

@@ -91,8 +91,8 @@ class Steps(Protocol):
     def progress(self, name: str, done: float, total: float) -> None:
         """``done`` of ``total`` of the step ``name`` are over."""
 
-    def tested(self, name: str, record: Record) -> None:
-        """The test ``name`` is whole."""
+    def tested(self, records: Records) -> None:
+        """These tests are whole, and could be evaluated."""
 
     def fitted(self, valve: Values) -> None:
         """The valve as parameters of the simulated one, as soon as it is known."""
@@ -219,6 +219,7 @@ class Commissioning:
         limits, period = self._limits, self._period
         still = self._test(REST, lambda first, mark: courses.rest(self._still, mark, first), self._still)
         rest = evaluation.at_rest(still)
+        self._steps.tested(self._records)
         rate = RATE * limits.voltage
         slow = self._test(
             SLOW,
@@ -228,6 +229,7 @@ class Commissioning:
             "the travel",
         )
         static = evaluation.slow(slow, rest)
+        self._steps.tested(self._records)
         planned = evaluation.plan(limits, static, period)
         first_step, last_step = planned.steps[0], planned.steps[-1]
         sine = self._test(
@@ -249,6 +251,7 @@ class Commissioning:
             self._modelled()
             response, fitted = self._background(fit, self._modelled)
             self._modelled()
+        self._steps.tested(self._records)
         return Tests(rest, slow, static, sine, response, fitted)
 
     def _open_loop(self) -> None:
@@ -387,7 +390,6 @@ class Commissioning:
             if text:
                 self._ask(text)
             self._records[name] = self._drive(name, course, length)
-        self._steps.tested(name, self._records[name])
         return self._records[name]
 
     def _drive(

@@ -31,7 +31,7 @@ UNITS = {
     **{"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "uv": 1e-6, "µv": 1e-6, "kv": 1e3},
     **{"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9},
 }  # in lower case, in s or V
-NAMED_UNIT = re.compile(r"(?P<name>.*?)\s*[\[(]\s*(?P<unit>[^\W\d][^\])]*?)\s*[\])]")
+NAMED_UNIT = re.compile(r"(?P<name>.*?)\s*[\[(]\s*(?P<unit>%|[^\W\d][^\])]*?)\s*[\])]")
 TIME = re.compile(
     r"(?:time|t|zeit|x_value|(?P<stamp>(?:time)?stamp))"
     r"(?:[\s_]*[\[(]\s*|[\s_]+|$)(?P<unit>s|sec|ms|us|µs|ns|)\s*[\])]?",
