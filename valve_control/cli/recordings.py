@@ -26,6 +26,7 @@ from valve_control.cli.common import (
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import NODES
 from valve_control.recordings.bags.errors import BagError
+from valve_control.recordings.bags.logs import KINDS
 
 if TYPE_CHECKING:
     from valve_control.recordings.analysis import ValveAnalysis
@@ -37,7 +38,7 @@ def _bag_options() -> Parser:
     options.add_argument(
         "bag",
         metavar="BAG",
-        help="folder with metadata.yaml, an .mcap or .db3 file, or a log: .csv, .lvm, .mat or .mf4",
+        help=f"folder with metadata.yaml, an .mcap or .db3 file, or a log: {', '.join(KINDS)}",
     )
     bag_options(
         options.add_argument_group("input"),
