@@ -333,12 +333,15 @@ def wiring(path: Path) -> None:
     """Wiring of a card on a serial line."""
     boxes = {
         "controller": (0.0, 0.0), "valve_driver": (1.7, 0.0), "card": (3.4, 0.0),
-        "amplifier": (4.8, 0.8), "LVDT\nconverter": (4.8, -0.8), "valve": (6.2, 0.0),
+        "emergency\nstop": (3.4, 1.4), "amplifier": (5.6, 0.8), "LVDT\nconverter": (5.6, -0.8),
+        "valve": (7.2, 0.0),
     }  # fmt: skip
     arrows = [
         ("controller", "valve_driver", "<->valve_voltage\nspool_position"),
         ("valve_driver", "card", "<->serial line"),
         ("card", "amplifier", "analogue output"),
+        ("card", "emergency\nstop", "enable line"),
+        ("emergency\nstop", "amplifier", "enable line"),
         ("LVDT\nconverter", "card", "analogue input"),
         ("amplifier", "valve", "coil current"),
         ("valve", "LVDT\nconverter", "spool"),
@@ -486,15 +489,21 @@ def raised_gain(path: Path) -> None:
 
 @picture
 def commissioned(path: Path) -> None:
-    """Report of the tutorial's commissioning, on a machine without other load."""
+    """Report of the tutorial's commissioning, sample by sample without ROS: no message is late."""
+    from benchmarks.solenoid import _Steps
+    from benchmarks.supervised import SupervisedValve
+    from valve_control.control.parameters import files
+    from valve_control.design.commissioning import commissioning_report, sequence
+    from valve_control.design.commissioning.bench import Plan, SafetyLimits
+
     sheet = ("natural_frequency=10", "damping=0.8", "full_stroke=9", "hysteresis=4", "lvdt.noise=0.003")
-    valve_control("identify", "--data-sheet", *sheet, "--output", "sheet.yaml")
-    with nodes(
-        ["valve_simulator", "--params-file", SOLENOID],
-        ["controller", "--params-file", "sheet.yaml", "-p", "controller:=dcarc"],
-    ):
-        valve_control("commission", "--yes", "--folder", "commission")
-    screenshot("commission/report.html", path, 1500)
+    valve_control("identify", "--data-sheet", *sheet, "--output", "bench_sheet.yaml")
+    gains = {**files.load("bench_sheet.yaml")["controller"], "controller": "dcarc"}
+    bench = SupervisedValve(files.load(SOLENOID)["valve_simulator"], gains)
+    plan = Plan(SafetyLimits(4.0, 2.0), "dcarc", 0.25, 200, 6, 32, seed=1, threads=1, firm=False)
+    result = sequence.Commissioning(bench, plan, bench.values(), _Steps()).run(None)
+    Path("report.html").write_text(commissioning_report.page(result), encoding="utf-8")
+    screenshot("report.html", path, 1500)
 
 
 # Simulate

@@ -41,7 +41,9 @@ def _options() -> Parser:
         "--limit", type=float, default=0.25, metavar="C_U", help="chatter that the gains are tuned for (0.25)"
     )
     parser.add_argument("--gains", metavar="FOLDER", help="gains in another folder than config/tuned")
-    parser.add_argument("--figure", metavar="FILE", help="medians and 95th percentiles as PNG or SVG")
+    parser.add_argument(
+        "--figure", metavar="FILE", help="medians and 95th percentiles with preview as PNG or SVG"
+    )
     return parser
 
 
@@ -90,40 +92,40 @@ def _compare(arguments: argparse.Namespace) -> None:
 
 
 def _draw(path: Path, found: Mapping[str, Mapping[str, "Errors"]]) -> None:
-    """Draw bars of the medians with a line up to the 95th percentile, by command and law."""
+    """Draw bars of the medians with preview, with a line up to the 95th percentile, by command and law."""
     import numpy as np
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogFormatter, StrMethodFormatter
 
     from research import comparison
 
-    figure = Figure(figsize=(11.0, 4.0 * len(found)))
+    figure = Figure(figsize=(11.0, 4.0))
+    axes = figure.add_subplot(1, 1, 1)
     heads = list(comparison.motions())
-    for plot, (text, by_name) in enumerate(found.items()):
-        axes = figure.add_subplot(len(found), 1, plot + 1)
-        width = 0.8 / len(by_name)
-        for i, (name, errors) in enumerate(by_name.items()):
-            median, high = 1e3 * np.percentile(errors.rms, [50, 95], axis=1)
-            at = np.arange(len(heads)) + (i - 0.5 * (len(by_name) - 1)) * width
-            chatter = float(np.mean(errors.chatter))
-            axes.bar(
-                at,
-                median,
-                width,
-                yerr=[np.zeros_like(median), high - median],
-                color=running.LAW_COLOURS[name],
-                error_kw={"lw": 1.0, "capsize": 2},
-                label=f"{name}, c_u {chatter:.2f}",
-            )
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axes.yaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
-        axes.grid(axis="y", which="both", alpha=0.3)
-        axes.set_axisbelow(True)
-        axes.set_xticks(range(len(heads)), heads)
-        axes.set_ylabel("true e_rms [mV]")
-        axes.set_title(f"{text}: medians, lines up to the 95th percentile")
-        axes.legend(fontsize="small", ncols=len(by_name), loc="upper center", bbox_to_anchor=(0.5, -0.08))
+    by_name = found["with preview"]
+    width = 0.8 / len(by_name)
+    for i, (name, errors) in enumerate(by_name.items()):
+        median, high = 1e3 * np.percentile(errors.rms, [50, 95], axis=1)
+        at = np.arange(len(heads)) + (i - 0.5 * (len(by_name) - 1)) * width
+        chatter = float(np.mean(errors.chatter))
+        axes.bar(
+            at,
+            median,
+            width,
+            yerr=[np.zeros_like(median), high - median],
+            color=running.LAW_COLOURS[name],
+            error_kw={"lw": 1.0, "capsize": 2},
+            label=f"{name}, c_u {chatter:.2f}",
+        )
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5)))
+    axes.grid(axis="y", which="both", alpha=0.3)
+    axes.set_axisbelow(True)
+    axes.set_xticks(range(len(heads)), heads)
+    axes.set_ylabel("true e_rms [mV]")
+    axes.set_title("medians, lines up to the 95th percentile")
+    axes.legend(fontsize="small", ncols=len(by_name), loc="upper center", bbox_to_anchor=(0.5, -0.08))
     figure.tight_layout()
     figures.save(figure, path)
 

@@ -80,6 +80,24 @@ def test_topics_are_shown_without_the_ros2_command(ros, tmp_path):
         child.wait()
 
 
+def test_a_number_is_published_without_the_ros2_command(ros):
+    script = [sys.executable, str(EXAMPLES / "publish.py"), "/valve_voltage"]
+    refused = subprocess.run([*script, "0.5", "--rate", "0"], capture_output=True, text=True, timeout=60)
+    assert refused.returncode == 2
+    assert refused.stderr.endswith("--rate is 0; it must be above 0 and at most 1000\n")
+    voltages = []
+    ros.create_subscription(Float64, "/valve_voltage", lambda m: voltages.append(m.data), 10)
+    child = subprocess.Popen([*script, "-0.5", "--rate", "50"], stdout=subprocess.DEVNULL)
+    try:
+        spin_until(ros, lambda: len(voltages) >= 3, "voltages")
+        assert set(voltages) == {-0.5}
+        child.send_signal(signal.SIGINT)
+        assert child.wait(LIMIT) == 0
+    finally:
+        child.kill()
+        child.wait()
+
+
 def test_upper_level_answers_each_reading(ros):
     commands = []
     ros.create_subscription(Float64, "spool_command", lambda m: commands.append(m.data), 10)
