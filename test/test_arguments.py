@@ -96,11 +96,11 @@ def test_unknown_names_for_several_nodes_and_a_file_for_another_valve_are_warnin
 
 def test_a_section_for_the_driver_node_is_reported_where_the_controller_has_the_device(tmp_path):
     text = "/**/valve_driver: {ros__parameters: {driver: serial}}\n/boom/controller: {ros__parameters: {}}\n"
-    (warning,) = judged(tmp_path, {"/boom/controller": CONTROLLER + DEVICE}, text)
+    (warning,) = judged(tmp_path, {"/boom/controller": (*CONTROLLER, *DEVICE)}, text)
     assert "'/**/valve_driver'" in warning and "is not used, since /boom/controller has the device" in warning
     assert judged(tmp_path, BOOM, text) == judged(tmp_path, {"/boom/valve_driver": VALVE_DRIVER}, text) == []
     elsewhere = text.replace("/**/", "/arm/")
-    assert judged(tmp_path, {"/boom/controller": CONTROLLER + DEVICE}, elsewhere) == []
+    assert judged(tmp_path, {"/boom/controller": (*CONTROLLER, *DEVICE)}, elsewhere) == []
 
 
 def test_a_file_without_a_section_for_the_driver_node_is_reported_to_it(tmp_path):
@@ -111,7 +111,7 @@ def test_a_file_without_a_section_for_the_driver_node_is_reported_to_it(tmp_path
 
 def test_the_example_of_a_controller_with_its_device_has_what_the_example_of_the_driver_has(config):
     path = config.parent / "docs" / "examples" / "serial_controller.yaml"
-    values = addressed(str(path), "/controller", CONTROLLER + DEVICE)
+    values = addressed(str(path), "/controller", (*CONTROLLER, *DEVICE))
     driver = addressed(str(config / "valve_driver.yaml"), "/valve_driver", VALVE_DRIVER)
     assert {name: value for name, value in driver.items() if name != "watchdog"} == {
         name: value for name, value in values.items() if name in driver
