@@ -103,6 +103,12 @@ def test_a_section_for_the_driver_node_is_reported_where_the_controller_has_the_
     assert judged(tmp_path, {"/boom/controller": (*CONTROLLER, *DEVICE)}, elsewhere) == []
 
 
+def test_a_file_without_a_section_for_the_driver_node_is_reported_to_it(tmp_path):
+    text = "/**/controller:\n  ros__parameters: {u_max: 1.0}\n"
+    (warning,) = judged(tmp_path, {"/valve_driver": VALVE_DRIVER}, text)
+    assert "has nothing for /valve_driver; its sections are '/**/controller'" in warning
+
+
 def test_the_example_of_a_controller_with_its_device_has_what_the_example_of_the_driver_has(config):
     path = config.parent / "docs" / "examples" / "serial_controller.yaml"
     values = addressed(str(path), "/controller", (*CONTROLLER, *DEVICE))

@@ -37,6 +37,22 @@ def test_the_recorded_controller_once_more_bit_for_bit(tmp_path, law, storage):
     assert np.array_equal(result.voltage, run.voltages)
 
 
+def test_a_remapped_command_that_is_named_leaves_the_replay_exact(tmp_path):
+    """The journal has the commands; a scaled one, or a reading of another topic, did not come from there."""
+    run = Run()
+    run.move(300)
+    lever = [m._replace(topic="/lever") if m.topic == "/spool_command" else m for m in run.messages]
+    path = write(tmp_path / "bag", lever)
+    for maps, exact in (
+        ([], True),
+        (["spool_command=/lever.data"], True),
+        (["spool_command=/lever.data*0.5"], False),
+        (["spool_command=/lever", "spool_position=/valve_voltage"], False),
+    ):
+        result = shadow.replay(load(path, maps, journals=True).valves["valve"], {})
+        assert (result.differing == 0 and result.left_out == []) is exact, maps
+
+
 def test_events_on_parameters_are_not_needed(tmp_path):
     """The controller's accounts tell them, at the row from which they count."""
     run = Run(controller={"arc.k2": 70.0})

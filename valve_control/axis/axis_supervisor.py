@@ -103,7 +103,7 @@ def mode(s: State) -> tuple[Mode, str]:
     if s.stopped:
         return Mode.SAFE, f"stopped, 0 V: {s.stopped}"
     if s.goal is None:
-        return Mode.OK, "no position reading yet"
+        return Mode.DEGRADED, "no position reading yet"
     if s.bridged:
         return Mode.DEGRADED, f"{s.bridged}; the last command holds"
     if s.samples < s.refused_until:

@@ -48,10 +48,10 @@ class ValveTopics(NamedTuple):
 
     @property
     def plain(self) -> bool:
-        """Whether all signals come from the topics that a controller itself uses."""
-        own = {part: {f"{self.namespace}/{part}.data"} for part in PARTS}
-        own["spool_command"].add(f"{self.namespace}/{TRAJECTORY}.{POSITION}")
-        return all(str(source) in own[part] for part, source in self.sources.items())
+        """Whether reading and voltage have the names that a controller uses; its command may be remapped."""
+        own = {part: re.escape(f"{self.namespace}/{part}.data") for part in PARTS}
+        own["spool_command"] = rf".*\.(data|{re.escape(POSITION)})"
+        return all(re.fullmatch(own[part], str(source)) for part, source in self.sources.items())
 
 
 def _mapped(bag: Bag, text: str) -> tuple[str, str, Source]:

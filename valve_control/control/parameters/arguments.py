@@ -19,8 +19,8 @@ def check(arguments: Sequence[str], nodes: Mapping[str, Table]) -> list[str]:
 
     Raises ParameterError for a parameter that is addressed to one of them and does not exist. Returns
     warnings: of unknown names in sections for several nodes, which may be meant for others, of a file
-    that has something for a node of the same name elsewhere only, and of a section for the node
-    `valve_driver` if a controller has the device itself.
+    that has nothing for the node `valve_driver`, or something for a node of the same name elsewhere only,
+    and of a section for `valve_driver` if a controller has the device itself.
     """
     warnings = []
     first = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
@@ -55,10 +55,9 @@ def _check_file(path: str, nodes: Mapping[str, Table]) -> list[str]:
                     f"section '{section.pattern}' of {path} is not used, since {node} has the device itself; "
                     f"write its parameters into a section of {node}"
                 )
-    names = {node.rpartition("/")[2] for node in nodes}
-    if not any(matches(section.pattern, node) for section in sections for node in nodes) and names & {
-        section.node for section in sections
-    }:
+    owed = {"valve_driver", *(section.node for section in sections)}
+    reached = any(matches(section.pattern, node) for section in sections for node in nodes)
+    if not reached and owed & {node.rpartition("/")[2] for node in nodes}:
         warnings.append(_nothing(path, sections, nodes))
     return warnings
 
