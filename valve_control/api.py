@@ -164,7 +164,9 @@ class _Call(NamedTuple):
         files = [*self.parameters, *_several(self.options.get("params_file", []))]
         for file in files:
             if not isinstance(file, (Parameters, Mapping, str, os.PathLike)):
-                raise ParameterError("parameters are files or dicts by node; a motion is given as command")
+                raise ParameterError(
+                    f"{type(file).__name__} are no parameters; give files or dicts (a motion is command=)"
+                )
         options = {**self.options, "params_file": files}
         words, actions = list[str](), _commands().parsers[self.task]._option_string_actions
         for name, value in options.items():
@@ -177,7 +179,7 @@ class _Call(NamedTuple):
             if one and len(_several(value)) > 1:
                 raise ParameterError(f"{name} has {len(value)} entries; {self.task} takes one")
             if isinstance(value, Mapping):
-                plain = outputs.plain(dict(value))
+                plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in value.items()}
                 value = [f"{k}={v if isinstance(v, str) else as_text(v)}" for k, v in plain.items()]
             if value is None or value is False:
                 words += [f"{option}=none"] if actions[option].default else []
@@ -217,7 +219,10 @@ def _word(value: Any, folder: Path, name: str) -> str:
     if _is_motion(value):
         motion = np.asarray(value)
         if motion.ndim != 1 or len(motion) == 0 or motion.dtype.kind not in "iuf":
-            raise ParameterError(f"{motion.dtype} {motion.shape} is no motion; give one real number a sample")
+            raise ParameterError(
+                f"an array of {motion.dtype} with the shape {motion.shape} is no motion; "
+                "give one real number [V] per sample"
+            )
         path = _new(folder / f"{name}.npy")
         np.save(path, np.asarray(motion, dtype=float), allow_pickle=False)
         return str(path)

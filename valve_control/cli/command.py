@@ -79,11 +79,6 @@ class Commands:
         )
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command's argument parser."""
-    return Commands().top
-
-
 def run(argv: Sequence[str], alone: bool = False) -> int:
     """Run the command with ``argv``; returns the exit status. ``alone``: the process does nothing else."""
     # For small matrices BLAS threads that wait for each other take four times as long on a busy machine.
