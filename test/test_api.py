@@ -13,6 +13,7 @@ import pytest
 from matplotlib import pyplot
 
 import valve_control as vc
+from valve_control.api import _Call
 from valve_control.cli import main
 
 ROOT = Path(__file__).parents[1]
@@ -85,12 +86,19 @@ def test_a_log_of_arrays_is_analysed(tmp_path):
 @pytest.mark.parametrize(
     "task, sentence",
     [
-        (lambda: vc.simulate(controler="pid"), "--controler"),
+        (
+            lambda: vc.simulate(controler="pid"),
+            "^simulate has no option controler; did you mean 'contr",
+        ),
+        (lambda: vc.simulate(dur=1.0), "no option dur; did you mean 'duration'"),
+        (lambda: vc.simulate(controller=json), "give the descriptor: json.LAW"),
+        (lambda: vc.tune(valves=None), "none is no whole number"),
+        (lambda: vc.analyze(MOTION), "a ndarray is no file; write it with to_csv"),
         (lambda: vc.simulate(controller="pdi"), "invalid choice: 'pdi'"),
         (lambda: vc.simulate(command=[MOTION, MOTION]), "command has 2 entries"),
         (lambda: vc.simulate(command=np.zeros((3, 2))), "is no motion"),
         (lambda: vc.simulate(command=1j * MOTION), "is no motion"),
-        (lambda: vc.simulate(VALVE, MOTION), "a motion is given as command"),
+        (lambda: vc.simulate(VALVE, MOTION), "a motion is command="),
         (lambda: vc.simulate({"damping": 0.7}), "a dict by node"),
         (lambda: vc.simulate(set={"arc.k9": 1.0}), "no parameter 'arc.k9'"),
         (lambda: vc.simulate(npz="traces.npz"), "npz is of the command line"),
@@ -108,6 +116,12 @@ def test_bad_input_is_one_sentence(task, sentence, capsys):
     with pytest.raises(vc.ParameterError, match=sentence) as error:
         task()
     assert "\n" not in str(error.value) and not capsys.readouterr().err
+
+
+def test_help_of_tune_has_units_and_defaults_and_none_switches_a_limit_off():
+    assert "%(" not in vc.tune.__doc__ and "overshoot (%): largest overshoot of steps (5)" in vc.tune.__doc__
+    words = _Call("tune", (), (), {"overshoot": None, "duration": None})._options(Path())
+    assert words == ["--overshoot=none"]
 
 
 @pytest.mark.campaign

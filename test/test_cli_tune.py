@@ -21,7 +21,7 @@ SMALL += ["--valves", "3", "--unseen", "4", "--budget", "60", "--seed", "2", "--
 
 
 def limits(*options):
-    return tune.limits_of(command.parser().parse_args(["tune", *options]))
+    return tune.limits_of(command.Commands().top.parse_args(["tune", *options]))
 
 
 def test_what_has_to_hold_is_what_commission_asks_for_too():

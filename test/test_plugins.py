@@ -164,6 +164,11 @@ BROKEN = [
     ("command, measurement, offset)", "command)", "left out: TypeError: step() takes"),
     ("def hold(", "def held(", "left out: AttributeError: module 'law_"),
     ("command + offset", "command + float('nan')", "it must be a finite float"),
+    (
+        "return State(start.voltage)",
+        "return State(0)",
+        "its initial for State.last gives 0; it must",
+    ),
     ("    return s\n", "    return voltage\n", "its hold gives 0.0; it must be a {law}.State"),
     ("last: float", "theta: float", "there must be a parameter {name}.theta_initial"),
     (NO_GAIN, gained("1").replace("mine.k", "other.k"), "its parameter other.k must begin with '{name}.'"),

@@ -3,14 +3,16 @@
 """The tasks as Python functions, for notebooks and scripts, with the names and defaults of the command line.
 
 Each option of ``valve-control TASK --help`` is a keyword, with underscores for dashes: a switch is True, an
-option that may stand several times takes a list, one of NAME=VALUE a dict. A motion may be an array [V],
-parameters may be a dict by node, a controller may be the ``LAW`` of your own file. Progress, notes and
-warnings go to standard error. Bad input raises ParameterError, a bag that cannot be read BagError, with one
-sentence. A law that fails raises LawError, a RuntimeError.
+option that may stand several times takes a list, one of NAME=VALUE a dict, None switches a limit off. A
+motion may be an array [V], parameters may be a dict by node, a controller may be the ``LAW`` of your file.
+A task returns a Result: a dict of numbers with .text, .passed, .arrays, .parameters, .page, .plot() and
+.to_dataframe(). Progress and notes go to standard error. Bad input raises ParameterError, a bag that cannot
+be read BagError, a law that fails LawError (a RuntimeError), each with one sentence.
 """
 
 import argparse
 import contextlib
+import difflib
 import functools
 import html
 import inspect
@@ -30,7 +32,7 @@ import numpy as np
 
 from valve_control import outputs
 from valve_control.arrays import Floats
-from valve_control.cli.command import parser
+from valve_control.cli.command import Commands
 from valve_control.cli.common import OUTPUTS, option_of
 from valve_control.control.laws.law import Law
 from valve_control.control.parameters import files
@@ -98,10 +100,7 @@ class Result(dict[str, Any]):
     def plot(self) -> "Figure":
         """The figure that the command draws, of matplotlib, to change and save. Raises ParameterError."""
         if not hasattr(self.arguments, "draw"):
-            raise ParameterError(
-                f"this result of {self.arguments.task} has no figure; a simulation, a comparison and a "
-                "tested valve have one"
-            )
+            raise ParameterError(f"{self.arguments.task} has no figure; simulate, compare or a test has one")
         import matplotlib.pyplot as plt
 
         figure: Figure = plt.figure()
@@ -132,6 +131,9 @@ class _Call(NamedTuple):
         """Run the task; the result has what the ``wanted`` outputs hold."""
         for name in OUTPUTS.keys() & self.options.keys():
             raise ParameterError(f"{name} is of the command line; the result of {self.task} has all outputs")
+        for source in self.words:
+            if not isinstance(source, (str, os.PathLike)):
+                raise ParameterError(f"a {type(source).__name__} is no file; write it with to_csv")
         with tempfile.TemporaryDirectory() as folder:
             files = {name: f"{folder}/out/{self.task}.{OUTPUTS[name]}" for name in ("json", *wanted)}
             Path(folder, "out").mkdir()
@@ -143,7 +145,7 @@ class _Call(NamedTuple):
                     arguments = _parsed(words, [word.replace(f"{folder}/", "") for word in line])
                     status = int(arguments.run(arguments) or 0)
                 except (ParameterError, BagError) as error:
-                    raise type(error)(str(error).replace(f"{folder}/", "")) from error
+                    raise type(error)(str(error).replace(f"{folder}/", "")) from None
             lines = [row for row in text.getvalue().splitlines() if folder not in row]
             contents = {name: dict(_contents(Path(file))) for name, file in files.items()}
         numbers = contents["json"][""]
@@ -163,23 +165,29 @@ class _Call(NamedTuple):
         for file in files:
             if not isinstance(file, (Parameters, Mapping, str, os.PathLike)):
                 raise ParameterError(
-                    f"{type(file).__name__} are no parameters; give files, dicts by node, or results of load "
-                    "(a motion is given as command=...)"
+                    f"{type(file).__name__} are no parameters; give files or dicts (a motion is command=)"
                 )
         options = {**self.options, "params_file": files}
-        words, actions = list[str](), _actions(self.task)
+        words, actions = list[str](), _commands().parsers[self.task]._option_string_actions
         for name, value in options.items():
             option = option_of(name)
+            if name in self.options and option not in actions:
+                near = difflib.get_close_matches(name, [a.dest for a in actions.values()], 1, 0.5)
+                meant = f"did you mean '{near[0]}'?" if near else f"help(valve_control.{self.task}) lists all"
+                raise ParameterError(f"{self.task} has no option {name}; {meant}")
             one = isinstance(actions.get(option), argparse._StoreAction) and name not in MANY
             if one and len(_several(value)) > 1:
                 raise ParameterError(f"{name} has {len(value)} entries; {self.task} takes one")
             if isinstance(value, Mapping):
-                value = [f"{k}={v if isinstance(v, str) else as_text(v)}" for k, v in value.items()]
-            if name in MANY and value is not None:
-                words += [option, *map(str, value if isinstance(value, tuple) else _several(value))]
+                plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in value.items()}
+                value = [f"{k}={v if isinstance(v, str) else as_text(v)}" for k, v in plain.items()]
+            if value is None or value is False:
+                words += [f"{option}=none"] if actions[option].default else []
             elif value is True:
                 words.append(option)
-            elif value is not None and value is not False:
+            elif name in MANY:
+                words += [option, *map(str, np.atleast_1d(value))]
+            else:
                 words += [f"{option}={_word(one, folder, name)}" for one in _several(value)]
         return words
 
@@ -218,14 +226,14 @@ def _word(value: Any, folder: Path, name: str) -> str:
         path = _new(folder / f"{name}.npy")
         np.save(path, np.asarray(motion, dtype=float), allow_pickle=False)
         return str(path)
+    if inspect.ismodule(value):
+        raise ParameterError(f"{name} is a module; give the descriptor: {value.__name__}.LAW")
     if isinstance(value, Law):
         add_law(value)
         return value.name
     if isinstance(value, Mapping):
         if not all(isinstance(values, Mapping) for values in value.values()):
-            raise ParameterError(
-                "parameters are a dict by node, such as {'valve_simulator': {'damping': 0.7}}"
-            )
+            raise ParameterError("parameters are a dict by node: {'valve_simulator': {'damping': 0.7}}")
         plain = {f"/**/{node}": outputs.plain(dict(values)) for node, values in value.items()}
         value = Parameters(as_yaml(plain), {})
     if isinstance(value, Parameters):
@@ -241,22 +249,16 @@ def _new(path: Path) -> Path:
     return next(p for p in itertools.chain([path], paths) if not p.exists())
 
 
-_parser = functools.cache(parser)
-
-
-def _actions(task: str) -> dict[str, argparse.Action]:
-    """What argparse knows of each option of the ``task``."""
-    commands = next(a for a in _parser()._actions if isinstance(a, argparse._SubParsersAction))
-    return dict(commands.choices[task]._option_string_actions)
+_commands = functools.cache(Commands)
 
 
 def _parsed(words: Sequence[str], line: Sequence[str]) -> argparse.Namespace:
     """The command's arguments. Raises ParameterError with the sentence of the command."""
     with contextlib.redirect_stderr(io.StringIO()) as text:
         try:
-            return _parser().parse_args(words, argparse.Namespace(line=list(line)))
-        except SystemExit as error:
-            raise ParameterError(text.getvalue().strip()) from error
+            return _commands().top.parse_args(words, argparse.Namespace(line=list(line)))
+        except SystemExit:
+            raise ParameterError(text.getvalue().strip()) from None
 
 
 def _contents(file: Path) -> Iterator[tuple[str, Any]]:
@@ -329,12 +331,14 @@ def replay(bag: str | os.PathLike[str], *parameters: Source, **options: Any) -> 
 
 def _describe_options() -> None:
     """Add the options with the help of the command line to the docstring of each task, for help()."""
-    hidden = {"help", *OUTPUTS}
+    formatter, hidden = argparse.HelpFormatter(""), {"help", *OUTPUTS}
+    about = (__doc__ or "").partition("\n\n")[2]
     for task in (simulate, compare, identify, tune, margins, analyze, replay):
-        rows = [f"{inspect.cleandoc(task.__doc__ or '')}\n\nOptions:"]
-        for action in {id(a): a for a in _actions(task.__name__).values()}.values():
+        rows = [f"{inspect.cleandoc(task.__doc__ or '')}\n\n{about}\nOptions:"]
+        for action in _commands().parsers[task.__name__]._actions:
             if action.dest not in hidden:
-                text = f"{action.dest}: {(action.help or '').replace('%%', '%')}"
+                metavar = "" if action.choices else formatter._format_args(action, "")
+                text = f"{action.dest}{metavar and f' ({metavar})'}: {formatter._expand_help(action)}"
                 text += f"; one of {', '.join(map(str, action.choices))}" if action.choices else ""
                 rows.append(textwrap.fill(text, 100, initial_indent="    ", subsequent_indent="        "))
         task.__doc__ = "\n".join(rows)

@@ -34,7 +34,7 @@ class Controller(SupervisedValve):
 
 def arguments(path, *more) -> argparse.Namespace:
     line = ["commission", "--yes", "--folder", str(path), *more]
-    parsed = command.parser().parse_args(line)
+    parsed = command.Commands().top.parse_args(line)
     parsed.line = line
     return parsed
 

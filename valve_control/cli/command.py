@@ -68,7 +68,7 @@ class Commands:
 
     def add_parser(self, name: str, help: str, **options: Any) -> argparse.ArgumentParser:
         """Add and return the parser of the sub-command ``name``; ``help`` is its line in the list."""
-        parser: argparse.ArgumentParser = self._commands.add_parser(name, **options)
+        parser: argparse.ArgumentParser = self._commands.add_parser(name, allow_abbrev=False, **options)
         self.parsers[name], self._texts[name] = parser, help
         return parser
 
@@ -77,11 +77,6 @@ class Commands:
         return textwrap.fill(
             head + self._texts[name], WIDTH, subsequent_indent=" " * len(head), break_on_hyphens=False
         )
-
-
-def parser() -> argparse.ArgumentParser:
-    """The command's argument parser."""
-    return Commands().top
 
 
 def run(argv: Sequence[str], alone: bool = False) -> int:

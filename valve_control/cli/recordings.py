@@ -74,6 +74,7 @@ def add_commands(commands: Any) -> None:
     tasks = bag.add_subparsers(dest="bag_task", required=True, metavar="TASK")
     recover = tasks.add_parser(
         "recover",
+        allow_abbrev=False,
         help="write a finished copy of an unfinished or damaged bag",
         description="Copy all that can be read of a bag, such as that of a killed recorder, into a new, "
         "finished bag. The bag itself stays as it is.",

@@ -60,7 +60,7 @@ def check(entry: Any, kind: type[T]) -> T:
 def check_results(results: Iterable[tuple[str, Any, type]]) -> None:
     """Raise PluginError unless each of the ``results`` of named functions has its type; a float is finite."""
     for name, value, wanted in results:
-        sound = type(value) is wanted
+        sound = isinstance(value, wanted)  # np.float64 is a float
         if not sound or (wanted is float and not math.isfinite(value)):
-            kind = "finite float" if wanted is float else f"{wanted.__module__}.{wanted.__name__}"
+            kind = "finite float such as 0.0" if wanted is float else f"{wanted.__module__}.{wanted.__name__}"
             raise PluginError(f"its {name} gives {value!r}; it must be a {kind}")

@@ -106,6 +106,7 @@ def try_out(law: Law, values: Values) -> None:
     units = [(f"range of {free.name}", free.unit(given)) for free in law.free]
     chosen = placed([(free, free.from_share(0.5)) for free in law.free], given)
     told = {name: getattr(terms, name) for name in TERMS}
+    told |= {f"initial for State.{name}": one for name, one in state._asdict().items() if type(one) is int}
     plugins.check_results(
         [
             *((name, value, float) for name, value in [("step", voltage), *told.items(), *units]),
