@@ -60,6 +60,7 @@ def stopped(child):
 
 RECORDS = """
 import math, os, signal, threading
+import numpy as np
 from typing import NamedTuple
 from valve_control import interrupts
 from valve_control.control.compiling import compile_function
@@ -71,12 +72,14 @@ class Pair(NamedTuple):
 class Pairs(NamedTuple):
     one: Pair
     two: Pair
+    row: object
 
 def work(n):
     x = 0.0
+    row = np.zeros(3)
     for i in range(n):
         x += math.sin(x + i)
-    return Pairs(Pair(x, 1.0), Pair(2.0, x))
+    return Pairs(Pair(x, 1.0), Pair(2.0, x), row)
 
 if __name__ == "__main__":
     compiled = compile_function(work, nogil=True)

@@ -154,7 +154,8 @@ class _Call(NamedTuple):
             for valve, table in contents.get("csv", {}).items()
             for name, column in table.items()
         }
-        arrays |= {n: np.array(v) for n, v in numbers.get("response", {}).items() if isinstance(v, list)}
+        response = numbers.get("response", {}).items()
+        arrays |= {name: np.array(row, float) for name, row in response if isinstance(row, list)}
         parameters, page = (contents.get(name, {}).get("") for name in ("output", "html"))
         result = Result("\n".join(lines), status == 0, arrays, parameters, page, arguments)
         result.update(numbers)
@@ -281,8 +282,8 @@ def _contents(file: Path) -> Iterator[tuple[str, Any]]:
 
 def load(path: str | os.PathLike[str]) -> Parameters:
     """The ROS 2 parameter file ``path``, checked. Raises ParameterError."""
-    values = files.load(os.fspath(path))
-    return Parameters(Path(path).read_text(encoding="utf-8"), values, Path(path).name)
+    file = Path(os.path.expanduser(path))
+    return Parameters(values=files.load(str(file)), text=file.read_text(encoding="utf-8"), name=file.name)
 
 
 def simulate(*parameters: Source, **options: Any) -> Result:

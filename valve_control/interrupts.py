@@ -4,26 +4,26 @@
 
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 STATUS = 130
-_come = False
+_come = _pending = 0  # the signal that stops the command, and one that came while signals are held back
 _held = 0  # blocks that hold signals back
-_pending = 0  # signal that came meanwhile, 0 for none
 
 
 def come() -> bool:
-    """Whether Ctrl-C has been pressed since ``watch``."""
-    return _come
+    """Whether Ctrl-C stops the command."""
+    return _come > 0
 
 
 def watch(*numbers: int) -> None:
     """Let the first of the signals ``numbers`` (SIGINT) raise KeyboardInterrupt; further ones do nothing.
 
-    Where Python swallows the exception (a callback of the garbage collector), the next signal raises it. A
-    signal that is ignored, as in a command that a script put into the background, stays so.
+    Where Python swallows the exception (a callback of the garbage collector), it is raised again. A signal
+    that is ignored, as in a command that a script put into the background, stays so.
     """
     for number in numbers or (signal.SIGINT,):
         if signal.getsignal(number) is not signal.SIG_IGN:
@@ -39,7 +39,6 @@ def run(work: Callable[[], int], *numbers: int) -> int:
     except BaseException:  # a compiled module that is interrupted in its import raises an ImportError
         if not _come:
             raise
-        status = STATUS
     finally:  # at its end Python gives handlers of its own back to the system, but leaves what is ignored
         for number in numbers or (signal.SIGINT,):
             signal.signal(number, signal.SIG_IGN)
@@ -48,10 +47,7 @@ def run(work: Callable[[], int], *numbers: int) -> int:
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Let the signals come when the block has ended: within it a child is started, or a machine set back.
-
-    They are not blocked, for the child would be born so.
-    """
+    """Let the signals come when the block has ended; they are not blocked, for a child would be born so."""
     global _held, _pending
     _held += 1
     try:
@@ -68,13 +64,14 @@ def _raise(number: int, frame: Any) -> None:
     if _held:
         _pending = number
     elif not _come:
-        _come = True
+        _come = number
         raise KeyboardInterrupt
 
 
 def _swallowed(unraisable: Any) -> None:
     global _come
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
-        _come = False
+        threading.Timer(0.002, signal.raise_signal, [_come]).start()
+        _come = 0
     elif not _come:  # what Ctrl-C left half made complains when it is collected
         sys.__unraisablehook__(unraisable)

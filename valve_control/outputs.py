@@ -30,7 +30,10 @@ def check(paths: Sequence[str], inputs: Sequence[str] = ()) -> None:
             (not whole.parent.is_dir(), f"there is no folder {whole.parent}"),
             (path.endswith("/") or whole.is_dir(), "it is a folder"),
             (not os.access(whole.parent if ordinary else whole, os.W_OK), "permission denied"),
-            (whole.is_file() and not whole.stat().st_mode & 0o222, "it is read-only"),
+            (
+                whole.is_file() and not (os.access(whole, os.W_OK) and whole.stat().st_mode & 0o222),
+                "it is read-only",
+            ),
         ):
             if wrong:
                 raise ParameterError(f"{path} cannot be written: {reason}")
@@ -54,7 +57,7 @@ def write(path: str, content: str | bytes) -> None:
         if target.exists() and not target.is_file():
             target.write_bytes(data)  # such as /dev/null
             return
-        if target.exists() and not target.stat().st_mode & 0o222:
+        if target.exists() and not (os.access(target, os.W_OK) and target.stat().st_mode & 0o222):
             raise PermissionError(errno.EACCES, "it is read-only")
         with tempfile.NamedTemporaryFile(
             dir=target.parent, prefix=f".{target.name}.", delete=False

@@ -28,7 +28,6 @@ EXAMPLES = """examples:
   valve-control simulate --command my_bag --set arc.k1=150
 """
 
-
 GROUPS = {  # of the help, with their commands
     "your valve": ("identify", "parameters"),
     "simulate": ("simulate", "compare", "study", "tune", "margins", "axis", "demo"),

@@ -41,8 +41,8 @@ def add_sources(module: types.ModuleType) -> None:
     """Let functions of the package of ``module`` be compiled too, or of the file of one without a package."""
     source = getattr(module, "__file__", None)
     if source is not None:
-        path = Path(source).resolve()
-        _packages[module.__name__.split(".")[0]] = path.parent if module.__package__ else path
+        path, package = Path(source).resolve(), module.__package__
+        _packages[module.__name__.split(".")[0]] = path.parents[package.count(".")] if package else path
         # The folder of numba's cache is named after the sources; what has begun with another stays there.
         for known in (sources_digest, _numba, _compile, _compiled_module):
             known.cache_clear()
@@ -73,8 +73,7 @@ def _numba() -> Any:
     import numba
     from numba.core import boxing, pythonapi
 
-    home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    folder = home / PACKAGE / sources_digest()
+    folder = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"), PACKAGE, sources_digest())
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -82,23 +81,24 @@ def _numba() -> Any:
     numba.config.CACHE_DIR = str(folder)
     # The refusal that follows it says what is wrong.
     warnings.filterwarnings("ignore", category=numba.core.errors.NumbaTypeSafetyWarning)
-    for kind in (numba.types.NamedTuple, numba.types.NamedUniTuple):
-        pythonapi._boxers.functions[kind] = functools.partial(_record, boxing)
+    for kind in (numba.types.NamedTuple, numba.types.NamedUniTuple, numba.types.Array):
+        pythonapi._boxers.functions[kind] = functools.partial(_from_constants, boxing)
     return numba
 
 
-def _record(boxing: Any, kind: Any, value: Any, c: Any) -> Any:
-    """Make the record of ``kind`` that a compiled function returns, without a step in Python.
-
-    numba calls the record's class and does not look whether it raised. Ctrl-C during a compiled function is
-    raised exactly there, and ended the process with a segmentation fault.
-    """
-    constants = map(c.env_manager.add_const, (tuple.__new__, kind.instance_class))
-    new, record = map(c.env_manager.read_const, constants)
+def _from_constants(boxing: Any, kind: Any, value: Any, c: Any) -> Any:
+    """Make a record or array without a step in Python, where Ctrl-C would be raised, and crash numba."""
+    table, api = c.env_manager, c.pyapi
+    if not hasattr(kind, "instance_class"):  # an array
+        api.serialize_object, api.unserialize = table.add_const, table.read_const
+        made = boxing.box_array(kind, value, c)
+        del api.serialize_object, api.unserialize
+        return made
+    new, record = (table.read_const(table.add_const(one)) for one in (tuple.__new__, kind.instance_class))
     values = boxing.box_tuple(kind, value, c)
-    result = c.pyapi.call_function_objargs(new, (record, values))
-    c.pyapi.decref(values)
-    return result
+    made = api.call_function_objargs(new, (record, values))
+    api.decref(values)
+    return made
 
 
 def compile_function(

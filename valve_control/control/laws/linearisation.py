@@ -239,10 +239,9 @@ def module_of(module: types.ModuleType, params: Any) -> types.ModuleType:
     return around(module) if isinstance(params, Params) else module
 
 
-@cache
 def around(module: types.ModuleType) -> types.ModuleType:
     """Steps of a law's ``module`` with the curve behind it."""
-    return _around(module, Params)
+    return _around(module, Params, module.step)
 
 
 def exported(module: types.ModuleType) -> types.ModuleType:
@@ -251,15 +250,16 @@ def exported(module: types.ModuleType) -> types.ModuleType:
     params: Any = namedtuple("Params", list(hints))  # type: ignore[misc]  # noqa: PYI024
     params.__annotations__, params.__module__ = hints, __name__
     setattr(params, "template", Params)  # noqa: B010  # with the comments of the fields
-    made = _around(module, params)
+    made = _around(module, params, module.step)
     for function in (made.initial, made.step, made.hold):
         function.__annotations__["p"] = params
     return made
 
 
-def _around(module: types.ModuleType, params: Any) -> types.ModuleType:
+@cache
+def _around(module: types.ModuleType, params: Any, step_of_law: Any) -> types.ModuleType:
     made = types.ModuleType(module.__name__)
-    places = {"law_initial": module.initial, "law_step": module.step, "law_hold": module.hold}
+    places = {"law_initial": module.initial, "law_step": step_of_law, "law_hold": module.hold}
     vars(made).update(bind({"initial": initial, "step": step, "hold": hold}, places))
     vars(made).update(Params=params, State=module.State, Terms=module.Terms)
     return made

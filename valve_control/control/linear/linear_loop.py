@@ -7,7 +7,6 @@ one of another package is treated like those of this one. Friction, resolution a
 form: their effect shows in a run.
 """
 
-import types
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
@@ -101,10 +100,10 @@ def step_blocks(p: Any, like: StatePoint, before: Floats, after: Floats) -> None
 
 
 @cache
-def _compiled_steps(law: types.ModuleType) -> Callable[..., None]:
+def _compiled_steps(step: Callable[..., Any]) -> Callable[..., None]:
     from valve_control.control import simd_layout
 
-    parts = {"load": simd_layout.load, "store": simd_layout.store, "law_step": compile_function(law.step)}
+    parts = {"load": simd_layout.load, "store": simd_layout.store, "law_step": compile_function(step)}
     return compile_function(step_blocks, parts, nogil=True)
 
 
@@ -116,7 +115,7 @@ def stepped_side_by_side(law: Law, params: Any, like: Any, points: Floats) -> Fl
     before = np.ascontiguousarray(padded.reshape(blocks, LANES, width).transpose(0, 2, 1))
     after = np.empty((blocks, width * LANES))
     with explained(law.title):
-        _compiled_steps(law.module)(
+        _compiled_steps(law.module.step)(
             p=params, like=StatePoint(like, 0.0), before=before.reshape(blocks, -1), after=after
         )
     return after.reshape(blocks, width, LANES).transpose(0, 2, 1).reshape(-1, width)[:count]

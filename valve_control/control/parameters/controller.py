@@ -20,7 +20,7 @@ REALTIME: Table = running(
     Parameter("realtime.cpus", "", "", "CPUs the process may use, such as 2 or 2,3; empty: leave them"),
 )
 
-CONTROLLER: list[Parameter] = [  # that ``add_law`` makes longer
+CONTROLLER: list[Parameter] = [  # that ``add_law`` changes
     Parameter(
         "controller",
         "arc",

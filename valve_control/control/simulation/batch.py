@@ -183,12 +183,12 @@ def run_block(
 
 
 @functools.cache
-def _compiled(law: types.ModuleType) -> Callable[..., None]:
+def _compiled(initial: Any, step: Any) -> Callable[..., None]:
     from valve_control.control import simd_layout
 
     access = {"load": simd_layout.load, "store": simd_layout.store}
-    start = compile_function(begin, {**access, "law_initial": compile_function(law.initial)})
-    places = (closed_loop.command_given, read_delayed, law.step, counted)
+    start = compile_function(begin, {**access, "law_initial": compile_function(initial)})
+    places = (closed_loop.command_given, read_delayed, step, counted)
     parts = dict(zip(closed_loop.PLACES, map(compile_function, places), strict=True))
     one = compile_function(sample, {"one_sample": compile_function(closed_loop.sample, parts)})
     return compile_function(run_block, {**access, "begin": start, "sample": one}, nogil=True)
@@ -338,7 +338,7 @@ def _run_lanes(ready: Prepared, start: int, traces: Floats) -> Floats:
     rows = np.concatenate([ready.law_rows[valves], ready.valve_rows[valves]], axis=1)
     block = np.zeros((ready.width, LANES))
     block[ready.width - rows.shape[1] :] = rows.T
-    _compiled(ready.law)(
+    _compiled(ready.law.initial, ready.law.step)(
         like=ready.like,
         block=block.ravel(),
         noise=_noise(ready.seeds[valves], traces.shape[1]),

@@ -251,10 +251,9 @@ def run(study: Study, folder: Path, told: Told, threads: int | None = None) -> S
     told(sum(min(chunk, study.valves - first) for first in parts))
     for first in sorted(paths.keys() - parts.keys()):
         found = run_chunk(study, first, chunk, threads)
-        points, period = found.points, found.period
         rows: Floats = np.stack(found.results, axis=1)
-        parts[first], stream = (points, period, rows), io.BytesIO()
-        np.savez(stream, points=points, period=period, rows=rows, study=np.array(digest))
+        parts[first], stream = (found.points, found.period, rows), io.BytesIO()
+        np.savez(stream, points=found.points, period=found.period, rows=rows, study=np.array(digest))
         outputs.write(str(paths[first]), stream.getvalue())
         told(sum(min(chunk, study.valves - first) for first in parts))
     each = zip(*(parts[first] for first in paths), strict=True)

@@ -92,7 +92,7 @@ class Steps(Protocol):
         """``done`` of ``total`` of the step ``name`` are over."""
 
     def tested(self, records: Records) -> None:
-        """These tests are whole, and could be evaluated."""
+        """These tests are whole; friction and noise could be evaluated."""
 
     def fitted(self, valve: Values) -> None:
         """The valve as parameters of the simulated one, as soon as it is known."""
@@ -242,6 +242,8 @@ class Commissioning:
             f"{last_step.frequency:g} Hz",
         )
 
+        self._steps.tested(self._records)
+
         def fit(tell: Callable[..., None]) -> tuple[Response, Plant]:
             response, fits, friction = evaluation.linear(sine, planned, static, rest, tell)
             begin = [slow, sine], fits, friction, static.offset, rest, tell
@@ -251,7 +253,6 @@ class Commissioning:
             self._modelled()
             response, fitted = self._background(fit, self._modelled)
             self._modelled()
-        self._steps.tested(self._records)
         return Tests(rest, slow, static, sine, response, fitted)
 
     def _open_loop(self) -> None:
