@@ -179,7 +179,7 @@ def test_the_loop_with_a_dead_time_has_the_poles_of_filter_and_regulator(delay):
 
 @pytest.mark.parametrize("presliding", [0.0, 0.02])
 def test_a_simulated_valve_with_solenoids_is_known_by_voltages(presliding):
-    """Forces over the mean gain of both sides; weights within their bounds; presliding stays if there is none."""
+    """Forces over the mean gain of both sides; weights are bounded; presliding stays if there is none."""
     plant = {
         "valve": "solenoid", "solenoid__positive": 1.3, "solenoid__negative": 1.0,
         "solenoid__coil": 0.004, "solenoid__hysteresis": 0.3, "solenoid__dead_time": 0.001,
