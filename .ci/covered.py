@@ -68,7 +68,13 @@ def tests(room: str, letters: str) -> list[str]:
 PARTS = {
     "conditions": ["test/axis/test_axis_supervisor.py", *tests("supervision", "a-m")],
     "supervisor": tests("supervision", "n-z"),
-    "laws": tests("laws", "a-c"),
+    "laws": [
+        "test/tuning/test_search.py::test_all_that_may_be_chosen_can_be_built",
+        "test/tuning/test_search.py::test_a_range_goes_with_speed_and_gain_of_the_valve",
+        "test/commissioning/test_solenoid_fit.py::test_the_pid_of_internal_model_control_keeps_the_margins_on_a_box_of_valves",
+        "test/commissioning/test_solenoid_fit.py::test_some_designs_keep_the_margins_on_a_box_of_valves[C]",
+        *tests("laws", "a-c"),
+    ],
     "dcarc": [
         "test/plant/test_models.py",
         "test/plant/test_solenoid.py",

@@ -165,6 +165,7 @@ def gained(free):
 
 NO_GAIN = "], (), build"
 BROKEN = [
+    ("    return s\n", "    return s\n\ndel __file__\n", "it is in no file; write it into one"),
     ('Law("mine"', 'Law("arc"', "the name is taken by a law of valve_control"),
     ("command, measurement, offset)", "command)", "left out: TypeError: step() takes"),
     ("def hold(", "def held(", "left out: AttributeError: module 'law_"),

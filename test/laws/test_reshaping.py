@@ -120,9 +120,12 @@ TIME = np.arange(2000) * PERIOD
 
 
 def led(commands, **changes):
-    return command_lead.applied(
-        command_lead.build(controller(**changes), True), np.array(commands, dtype=float)
-    )
+    """Commands with their lead, which are the same to the bit compiled and in plain Python."""
+    p, commands = command_lead.build(controller(**changes), True), np.array(commands, dtype=float)
+    made, plain = command_lead.applied(p, commands), np.empty_like(commands)
+    command_lead.fill(p, commands, plain)
+    assert np.array_equal(made, plain)
+    return made
 
 
 def reference(commands, values=None):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import scipy.signal
-from changed import controller
+from changed import controller, valve
 
 from research import coil
 from valve_control.control.laws import dcarc, dcarc_design
@@ -175,3 +175,24 @@ def test_the_loop_with_a_dead_time_has_the_poles_of_filter_and_regulator(delay):
     poles = [abs(stability.pole_of(dcarc.LAW, one, stability.believed(dcarc.LAW, one))) for one in (p, free)]
     assert poles[0] == pytest.approx(poles[1], abs=1e-5)
     assert stability.warning(dcarc.LAW, p) == ""
+
+
+@pytest.mark.parametrize("presliding", [0.0, 0.02])
+def test_a_simulated_valve_with_solenoids_is_known_by_voltages(presliding):
+    """Forces over the mean gain of both sides; weights are bounded; presliding stays if there is none."""
+    plant = {
+        "valve": "solenoid", "solenoid__positive": 1.3, "solenoid__negative": 1.0,
+        "solenoid__coil": 0.004, "solenoid__hysteresis": 0.3, "solenoid__dead_time": 0.001,
+        "friction__coulomb": 0.575, "friction__presliding": presliding, "disturbance__offset": 0.23,
+    }  # fmt: skip
+    values = controller(dcarc__theta_max=[0.4 if k == 2 else 100.0 for k in range(9)])
+    known = dcarc.LAW.of_plant(values, valve(**plant))
+    theta = known.pop("dcarc.theta_initial")
+    assert (theta[2], theta[6]) == (0.4, pytest.approx(-0.2))
+    slides = [share * presliding for share in dcarc.PRESLIDINGS]
+    assert known.pop("dcarc.presliding", [0.0] * len(slides)) == slides
+    assert known == pytest.approx(
+        {"dcarc.coil": 0.004, "dcarc.hysteresis": 0.15, "dcarc.sides": 0.3, "dcarc.delay": 0.0,
+         "dcarc.actuator_delay": 0.001}
+    )  # fmt: skip
+    assert dcarc.LAW.of_plant(values, valve()) == {}

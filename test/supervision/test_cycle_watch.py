@@ -165,6 +165,18 @@ def test_the_source_of_cycles_is_the_reading_where_no_such_valve_can_be(gain, fr
 
 
 @pytest.mark.parametrize(
+    ("small", "full", "turns", "unexplained"),
+    [(4.0, 0.0, 0.0, True),
+     (0.0, 4.0, 0.0, True),
+     (3.0, 3.0, 0.0, False),  # too few
+     (4.0, 4.0, 8.0, False)],  # the command turns as often
+)  # fmt: skip
+def test_cycles_of_either_height_count_if_the_command_has_them_not(small, full, turns, unexplained):
+    cycle, swing = (oscillation.NOTHING._replace(cycles=n, turns=turns) for n in (small, full))
+    assert cycle_watch.unexplained(cycle, swing) == unexplained
+
+
+@pytest.mark.parametrize(
     ("file", "low", "high"),
     [("arc.yaml", 60.0, 70.0), ("oarc.yaml", 44.0, 51.0), ("pid_plain.yaml", 54.0, 61.0)],
 )

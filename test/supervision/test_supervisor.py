@@ -7,6 +7,7 @@ import math
 import sys
 import types
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import changed
 import numpy as np
@@ -17,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from valve_control.control.laws import registry, reshaping
+from valve_control.control.laws.projection import Theta
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND, CONTROLLER, VALVE
 from valve_control.control.plant import valve
@@ -500,3 +502,27 @@ def test_a_reference_behind_a_filter_goes_on_with_the_rate_of_the_filter():
     p = SimpleNamespace(reshaping=SimpleNamespace(smoothing=200.0))
     s = SimpleNamespace(reference=reshaping.State(1.5, 40.0), smooth=1.25)
     assert bumpless_transfer.followed(p, s) == reshaping.State(1.25, 50.0)
+
+
+class Unbounded(NamedTuple):
+    """Parameters of a law of another package, without bounds of its estimates."""
+
+    theta_initial: Theta
+
+
+class Bounded(NamedTuple):
+    """The same with bounds."""
+
+    theta_initial: Theta
+    theta_min: Theta = Theta(0.0, 0.0, 0.0, 0.0)
+    theta_max: Theta = Theta(1.0, 1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "start"), [(Bounded, (0.5, 1.0, 0.0, 1.0)), (Unbounded, (0.5, 7.0, -3.0, 1.0))]
+)
+def test_a_law_starts_from_the_estimates_of_the_former_within_the_bounds_that_it_has(kind, start):
+    p, found = kind(Theta(0.2, 0.2, 0.2, 0.2)), (0.5, 7.0, -3.0, 1.0)
+    assert bumpless_transfer.resumed(p, SimpleNamespace(theta=Theta(*found))).theta_initial == start
+    for other in (SimpleNamespace(), SimpleNamespace(theta=found)):  # none, or of another kind
+        assert bumpless_transfer.resumed(p, other) is p

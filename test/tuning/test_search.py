@@ -16,6 +16,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER, NODES
+from valve_control.control.plant.models import Scale
 from valve_control.control.simulation import robustness
 from valve_control.design.tuning import box, checks, limits, search, trial, tuner, verification
 from valve_control.design.tuning.search import EvaluatedGains
@@ -49,6 +50,16 @@ def test_all_that_may_be_chosen_can_be_built(law):
                 rounding = 0.0 if free.unit is one else 10.0 ** (1 - DIGITS)
                 assert present(free, there) == pytest.approx(number, rel=rounding, abs=0.0)
                 assert there != values or present(free, values) == present(free, there)
+
+
+def test_a_range_goes_with_speed_and_gain_of_the_valve():
+    """On a valve twice as fast and four times as strong; a number that comes from neither stays."""
+    there = {free.name: free.ranged(Scale(2.0, 4.0)) for free in LAWS["pid"].free + LAWS["dcarc"].free}
+    ends = {name: (free.low, free.high) for name, free in there.items()}
+    assert ends["pid.kp"] == (0.3 / 4.0, 60.0 / 4.0) and ends["pid.kd"] == (3e-4 / 2.0, 0.03 / 2.0)
+    assert ends["pid.theta[1]"] == (300.0 * 4.0, 5000.0 * 4.0)
+    assert ends["dcarc.voltage_weight"] == (1e-3 * 16.0, 3.0 * 16.0)
+    assert ends["dcarc.input_noise"] == (0.05, 10.0)
 
 
 def test_a_known_motion_is_followed_without_lag():

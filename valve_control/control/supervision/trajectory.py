@@ -27,9 +27,7 @@ class State(NamedTuple):
 
 
 def refusal(positions: int, velocities: int, accelerations: int) -> str:
-    """One sentence about a point with so many entries, "" if there is one of each."""
-    if (positions, velocities, accelerations) == (1, 1, 1):
-        return ""
+    """One sentence about a point that has not one entry of each."""
     return (
         f"trajectory point with {positions} positions, {velocities} velocities and {accelerations} "
         "accelerations refused, it must have one of each; the last one holds"
