@@ -41,6 +41,7 @@ CONTROLLER = (
         "adapter",
         "cascade",
         "controller_node",
+        "intruders",
         "lifecycle",
         "lockstep",
         "overload",
@@ -48,7 +49,7 @@ CONTROLLER = (
         "reception",
         "refused_starts",
     ),
-    *("restart", "trajectory", "unnumbered"),
+    *("restart", "timing", "trajectory", "unnumbered"),
 )
 DEVICES = (
     *("axis", "device_controller", "exit", "fieldbus", "rclpy_internals", "services", "transport"),

@@ -3,6 +3,7 @@
 """The upper level's supervision, sample by sample, and the motion of the spool that it asks for."""
 
 import math
+import re
 
 import changed
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valve_control.axis import axis_pid, course, path
+from valve_control.axis import axis_pid, axis_watch, course, path
 from valve_control.axis import axis_supervisor as supervisor
 from valve_control.axis.axis_parameters import AXIS_CONTROLLER
 from valve_control.axis.course import Goal
@@ -37,6 +38,19 @@ def under_way(p, able, end):
     for k in range(2, end):
         s = sample(p, s, s.goal.position, k)
     return s
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"machine": ""}, "machine is empty; it must name a file in config/axis"),
+        ({"sample_period": 0.002}, "sample_period is 0.001 s for the machine 'bench' and 0.002 s for axis_"),
+        ({"overlap": 10.0, "spool_limit": 5.0}, "overlap is 10 V, no less than spool_limit, 5 V"),
+    ],
+)
+def test_values_that_do_not_go_together_are_refused(changes, sentence):
+    with pytest.raises(ParameterError, match=re.escape(sentence)):
+        designed(**changes)
 
 
 def test_without_a_goal_it_holds_the_first_position_and_follows_a_path_to_the_last_bit():
@@ -76,6 +90,22 @@ def test_a_trajectory_that_begins_later_leaves_the_motion_before_it_alone_until_
     assert s.path is None and s.goal == (0.35, 0.0, 0.0)
     mean = 0.5 * (np.array(velocities)[1:] + np.array(velocities)[:-1])
     assert np.max(np.abs(np.diff(positions) / p.period - mean)) < 1e-3
+
+
+def test_an_axis_at_rest_waits_for_the_beginning_of_its_path():
+    p, able = designed()
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    s = supervisor.begin(s, path.towards(0.3, s.goal, LIMITS, able), 50 * MS)
+    for k in range(2, 60):
+        s = sample(p, s, s.goal.position, k)
+        assert (s.goal.position > 0.2) == (k > 50)
+
+
+@pytest.mark.parametrize(("lost", "periods"), [(None, 1), (0, 1), (2, 3), (3, 1)])
+def test_a_reading_without_a_stamp_counts_the_lost_ones_that_can_be_bridged(lost, periods):
+    p, _ = designed(sensor__hold_samples=2)
+    s = sample(p, supervisor.at_rest(p), 0.2, 1)
+    assert supervisor.unstamped(p, s, lost) == s.time + periods * MS
 
 
 @pytest.mark.parametrize("leap", [-5000, 5000])
@@ -201,6 +231,13 @@ def test_with_pressures_that_cannot_be_believed_axis_arc_is_stopped_and_axis_pid
         assert set(supervisor.estimates(p, s)) == ({"mass_kg", *LEARNT} if stops else set())
 
 
+def test_a_jump_of_a_pressure_is_a_fault_unless_wrong_readings_left_it_time():
+    p, _ = designed(sensor__pressure_jump=20e5)
+    known = axis_watch.State(0.2, (50e5, 80e5), 0.0, 0)
+    assert axis_watch.pressure_fault(p.watch, known, (50e5, 110e5)) == "pressure b jumps by 30 bar"
+    assert axis_watch.pressure_fault(p.watch, known._replace(wrong=1), (50e5, 110e5)) == axis_watch.SOUND
+
+
 LEARNT = ("damping_Ns_m", "coulomb_N", "force_N", "bulk_modulus_Pa")
 
 
@@ -222,6 +259,7 @@ def test_a_path_that_began_a_moment_ago_replaces_the_one_in_motion_and_goes_on_f
     new = path.towards(0.35, s.goal, LIMITS, able)
     for at in (None, 99 * MS, 150 * MS):  # no reading of the past is asked for
         assert supervisor.joining(s, new, at, able) is new
+    assert supervisor.begin(s, new, None).begun == s.time == 99 * MS
     s = supervisor.begin(s, new, 95 * MS)
     assert s.path is new and s.begun == 95 * MS and s.later is None
     s = sample(p, s, s.goal.position, 100)

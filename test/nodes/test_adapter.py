@@ -7,10 +7,12 @@ from struct import pack
 
 import pytest
 from bench import spin_until
+from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from valve_control.control.parameters.table import CONTROLLER
 from valve_control.nodes.adapter import (
     SAMPLES,
     NumberSubscription,
@@ -18,6 +20,7 @@ from valve_control.nodes.adapter import (
     encoded,
     encoded_point,
     head,
+    with_numbers,
 )
 
 NUMBERS = [0.0, -0.0, 1.0, -9.87654321, 5e-324, 1.7e308, math.inf, -math.inf]
@@ -49,6 +52,12 @@ def test_numbers_after_the_head_of_an_array_are_what_rclpy_reads(labels):
     message = Float64MultiArray(layout=MultiArrayLayout(dim=dim), data=numbers)
     begin = head(Float64MultiArray(layout=MultiArrayLayout(dim=dim)), len(labels))
     assert deserialize_message(begin + pack(f"<{len(labels)}d", *numbers), Float64MultiArray) == message
+
+
+def test_a_number_that_came_as_a_word_is_a_number_and_other_words_stay():
+    sent = {"arc.epsilon": "1e-05", "arc.k1": "fast", "save_file": "1e-05"}
+    taken = with_numbers(CONTROLLER, [Parameter(name, value=value) for name, value in sent.items()])
+    assert [one.value for one in taken] == [1e-05, "fast", "1e-05"]
 
 
 def test_what_is_no_point_is_passed_over(ros):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import rclpy
 from bench import LIMIT, wait_for_message
+from rclpy.parameter import Parameter
 from std_msgs.msg import Float64, Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectoryPoint
 
@@ -107,6 +108,16 @@ def test_from_the_first_reading_to_the_last_word(ros):
         assert node._state_machine.current_state[1] == "finalized"
 
 
+def test_readings_of_another_period_are_reported_and_refuse_a_change_of_it(ros):
+    with controller(ros, "lvdt.period_limit:=0.1") as upper:
+        supervisor, send = upper.node._supervisor, upper.lvdt.publish
+        upper.until(lambda: send(encoded(0.5)) or "readings come every" in supervisor.reason, "a sentence")
+        assert supervisor.mode is Mode.SAFE and set(upper.voltages) <= {0.0}
+        supervisor.memory.pace = supervisor.memory.pace._replace(means=(0.001,))
+        result = upper.node.set_parameters_atomically([Parameter("sample_period", value=0.002)])
+        assert "sample_period cannot become 2 ms while LVDT readings come every 1 ms" in result.reason
+
+
 def test_silence_is_answered_again_and_again(ros, monkeypatch):
     with controller(ros) as upper:
         node = upper.node
@@ -198,7 +209,7 @@ def test_in_lockstep_a_reading_waits_for_its_command(ros, monkeypatch, capfd):
             upper.until(lambda number=number: len(node._timing.arrivals) == number, "the answer")
             assert node._supervisor.voltage * wanted > 0.0
             upper.lvdt.publish(encoded(0.0))
-        result = node.set_parameters_atomically([rclpy.parameter.Parameter("lockstep", value=False)])
+        result = node.set_parameters_atomically([Parameter("lockstep", value=False)])
         assert not result.successful and "lockstep of a running node does not change" in result.reason
 
 

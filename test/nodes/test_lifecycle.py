@@ -10,6 +10,7 @@ import rclpy
 from bench import Motion, call, controller, spin_until
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.parameter import Parameter
 from std_msgs.msg import Float64
 
 from research.campaigns.processes import process
@@ -99,5 +100,18 @@ def test_a_node_that_does_not_work_shuts_down_without_a_voltage(ros, configured)
         for _ in range(10):
             rclpy.spin_once(ros, timeout_sec=0.01)
         assert heard == []
+    finally:
+        node.destroy_node()
+
+
+def test_a_cleanup_leaves_the_clock_to_rclpy(ros):
+    """A subscription that rclpy made meanwhile is not the node's to destroy."""
+    node = Controller(cli_args=["--ros-args", "-p", "autostart:=false"])
+    try:
+        node.trigger_configure()
+        node.set_parameters([Parameter("use_sim_time", value=True)])
+        node.trigger_cleanup()
+        topics = {subscription.topic_name for subscription in node.subscriptions}
+        assert "/clock" in topics and not topics & {"/spool_position", "/spool_command", "/spool_trajectory"}
     finally:
         node.destroy_node()

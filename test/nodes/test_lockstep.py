@@ -8,13 +8,14 @@ from contextlib import ExitStack
 
 import pytest
 import sizes
-from bench import run_tool, spin_until
+from bench import run_tool, spin_until, wait_for_message
 from std_msgs.msg import Float64
 
 from research.campaigns.lockstep import CONFIG, run_lockstep
 from research.campaigns.processes import process
 from valve_control.control.laws.registry import LAWS
-from valve_control.nodes.adapter import SAMPLES
+from valve_control.nodes.adapter import SAMPLES, NumberSubscription, encoded
+from valve_control.nodes.lockstep import Lockstep
 
 
 @pytest.mark.campaign
@@ -97,3 +98,30 @@ def test_a_simulator_waits_for_a_controller(ros, tmp_path):
         assert not readings
         stack.enter_context(process("controller", ["-p", "lockstep:=true"], tmp_path / "first.log"))
         spin_until(ros, lambda: readings, "the first reading")
+
+
+def test_what_is_lost_moves_no_command_to_another_reading(ros):
+    """Command 1 was sent before anybody heard it, and reading 3 is taken away."""
+    sent = ros.create_publisher(Float64, "spool_command", SAMPLES)
+    sent.publish(encoded(1.0))
+    commands = NumberSubscription(ros, "spool_command", SAMPLES)
+    readings = NumberSubscription(ros, "spool_position", SAMPLES)
+    lvdt, used = ros.create_publisher(Float64, "spool_position", SAMPLES), []
+    spin_until(ros, lambda: sent.get_subscription_count() == lvdt.get_subscription_count() == 1, "match")
+    lockstep = Lockstep(ros, [commands], used.append, lambda: True)
+    assert lockstep.next(readings) is None
+    sent.publish(encoded(2.0))
+    wait_for_message(ros, commands)
+    for number, wanted in ((1, []), (2, [2.0])):
+        lvdt.publish(encoded(0.1 * number))
+        wait_for_message(ros, readings)
+        assert lockstep.next(readings)[0] == 0.1 * number
+        assert used == wanted
+    lvdt.publish(encoded(0.3))
+    wait_for_message(ros, readings)
+    assert len([*readings.take()]) == 1
+    for data in (3.0, 4.0):
+        sent.publish(encoded(data))
+    lvdt.publish(encoded(0.4))
+    spin_until(ros, lambda: lockstep.next(readings), "reading 4")
+    assert used == [2.0, 3.0, 4.0]

@@ -34,7 +34,9 @@ def test_each_refusal_of_the_kernel_is_a_sentence_with_the_limit_to_raise():
     before, said = realtime.obtained(), []
     with unprivileged():
         realtime.obtain(Request(True, 20, ()), said.append)
-    memory, priority = said
+        realtime.obtain(Request(False, 20, ()), said.append)
+    memory, priority, alone = said
+    assert alone == priority
     assert memory.startswith("realtime.lock_memory: not locked, ") and "ulimit -l" in memory
     assert priority.startswith("realtime.priority: 20 not obtained, ") and "ulimit -r" in priority
     assert realtime.obtained() == before

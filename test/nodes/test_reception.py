@@ -18,7 +18,7 @@ from rclpy.qos import qos_profile_parameters
 from std_srvs.srv import SetBool, Trigger
 
 from research.campaigns.processes import wait_until
-from valve_control.nodes.services import Reception, Unwatched
+from valve_control.nodes.services import MOST_ENTRIES, Reception, Unwatched
 
 # For each name that it reads: asks that service, leaves it, and says so when the server has seen it leave.
 LEAVER = """
@@ -58,6 +58,15 @@ def patient_client(ros):
 def ask(client, name, value):
     parameter = Parameter(name, value=value).to_parameter_msg()
     return client.call_async(SetParameters.Request(parameters=[parameter]))
+
+
+def answer_of(ros, reception, client, request):
+    future = client.call_async(request)
+    spin_until(ros, lambda: reception.waiting, "the request")
+    while reception.waiting:
+        reception.serve()
+    spin_until(ros, future.done, "the answer")
+    return future.result()
 
 
 @pytest.mark.campaign
@@ -137,12 +146,17 @@ def test_a_service_that_fails_gives_an_empty_answer_and_the_loop_goes_on(ros, te
     client = ros.create_client(SetBool, "failing")
     spin_until(ros, client.service_is_ready, "failing")
     for data in (True, False):
-        future = client.call_async(SetBool.Request(data=data))
-        spin_until(ros, lambda: reception.waiting, "the request")
-        while reception.waiting:
-            reception.serve()
-        spin_until(ros, future.done, "the answer")
-        assert future.result() == SetBool.Response()
+        assert answer_of(ros, reception, client, SetBool.Request(data=data)) == SetBool.Response()
+    reception.close()
+
+
+def test_a_request_of_too_many_entries_is_refused_unread(ros, capfd):
+    reception = Reception([One(ros, ros.create_service(SetParameters, "long", lambda *_: None))])
+    client = ros.create_client(SetParameters, "long")
+    spin_until(ros, client.service_is_ready, "long")
+    request = SetParameters.Request(parameters=[ParameterMessage()] * (MOST_ENTRIES + 1))
+    assert answer_of(ros, reception, client, request).results == []
+    assert "/long: a request with 501 entries refused; 500 is the most" in capfd.readouterr().err
     reception.close()
 
 

@@ -14,6 +14,7 @@ PARAMETERS = (  # node, its parameters, words of the sentence
     ("controller", ["arc.k1:=-3.0"], "arc.k1"),
     ("controller", ["arc.k1:=fast"], "arc.k1"),
     ("controller", ["sample_period:=0.0"], "sample_period"),
+    ("controller", ["realtime.cpus:=two"], "realtime.cpus is 'two'; it must be CPU numbers such as 2 or 2,3"),
     ("controller", ["realtime.cpus:='777'"], "realtime.cpus names CPU 777"),
     ("controller", ["driver:=serial", "serial.port:=/dev/no_such_port"],
      "valve_control: the port /dev/no_such_port cannot be opened"),

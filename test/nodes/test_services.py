@@ -68,6 +68,8 @@ def test_saved_parameters_are_loaded_and_read_back_with_the_present_estimates(ro
         assert set_parameters(ros, arc__k2=50.0, u_max=7.0).successful
         answer = call(ros, Trigger, "/controller/load_parameters", Trigger.Request())
         assert answer.success and "of which 3 changed" in answer.message  # and the estimates
+        answer = call(ros, Trigger, "/controller/load_parameters", Trigger.Request())
+        assert answer.success and "of which 0 changed" in answer.message
         assert get_double(ros, "arc.k2") == 99.0 and get_double(ros, "u_max") == 10.0
     saved = files.load(str(path))["controller"]
     build.law_params(updated(CONTROLLER, defaults(CONTROLLER), saved))
@@ -148,6 +150,8 @@ def test_manifold_hosts_several_valves_with_their_own_parameters(ros, tmp_path):
   ros__parameters: {arc: {k1: 77.0}}
 /**/arm/controller:
   ros__parameters: {controller: pid}
+/**:
+  ros__parameters: {robot: digger}
 """
     )
     arguments = ["--params-file", str(path), "-r", "__ns:=/digger"]
@@ -161,3 +165,4 @@ def test_manifold_hosts_several_valves_with_their_own_parameters(ros, tmp_path):
         assert not set_parameters(ros, "digger/manifold", valves=["boom"]).successful
         child.terminate()
         assert child.wait(10.0) == 0
+    assert f"section '/**' of {path}: there is no parameter 'robot'" in (tmp_path / "log").read_text()

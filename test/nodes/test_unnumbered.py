@@ -43,8 +43,11 @@ def node(name, log, *settings):
         try:
             yield child
         finally:
-            child.kill()
-            child.wait()
+            child.terminate()
+            try:
+                child.wait(20.0)
+            finally:
+                child.kill()
 
 
 def test_a_cascade_runs_and_says_once_that_losses_are_unknown(ros, tmp_path):
