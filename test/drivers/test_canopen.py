@@ -262,7 +262,7 @@ def test_a_wrong_bus_or_node_is_named(words, changes, said):
 
 
 def test_counts_and_modes_that_the_user_gives_or_leaves(valve):
-    made = driver(valve, reference=8192, device_mode=0)
+    made = driver(valve, reference=8192, device_mode=0, watchdog=0.0, heartbeat=0.0)
     made.open()
     made._node.put(0x6311, 1, "h", -1)
     made.enable(True)
