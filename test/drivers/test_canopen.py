@@ -205,9 +205,10 @@ def test_an_answer_after_its_time_out_is_not_taken_for_the_next():
 def test_frames_that_are_no_sound_data_are_left_out_and_that_of_bus_off_is_noted():
     node, told = CanNode(5, 0.05, interface="virtual", channel="frames"), []
     node.on_heartbeat(told.append)
+    node.on(0x185, lambda *words: told.append(words))
     with can.Bus(interface="virtual", channel="frames") as other:
-        for kind in ({"data": b""}, {"is_remote_frame": True}, {"data": b"\5"}):
-            other.send(can.Message(arbitration_id=0x705, is_extended_id=False, **kind))
+        for identifier, data in ((0x705, b""), (0x185, None), (0x705, b"\5")):
+            other.send(can.Message(0.0, identifier, False, data is None, data=data))
         node.pump(0.0)
         assert told == [5] and not node.bus_off
         other.send(can.Message(arbitration_id=0x40, is_error_frame=True))
