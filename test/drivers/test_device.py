@@ -195,10 +195,13 @@ def test_a_device_that_goes_after_a_fault_is_tried_again_in_time_and_its_output_
     assert one.conditions() == () and one.poll() == (1.0, 0)
 
 
-def test_a_dry_run_without_a_sound_reading_tells_the_faults_and_no_figures():
-    tried = trial.Trial([math.nan], [0.0], 3, {"wire_broken": "no supply"})
-    lines = trial.told(tried, volts(Loose()), 0.001)
-    assert lines == ["readings   1, of which 1 not valid; 3 lost", "wire_broken: no supply"]
+def test_a_dry_run_without_a_reading_tells_the_faults_and_no_figures():
+    loose = Loose()
+    loose.faults = (Condition("wire_broken", "safe", "no supply"),)
+    one = volts(loose)
+    lines = trial.told(trial.run(one, 0.001), one, 0.001)
+    assert lines == ["readings   0, of which 0 not valid; 0 lost", "wire_broken: no supply"]
+    assert loose.calls[-1] == "close"
 
 
 P = build.valve_params(changed.valve(lvdt__noise=0.004))
