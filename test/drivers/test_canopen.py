@@ -3,8 +3,11 @@
 """CANopen, CiA 408: the driver against a valve in another process, behind slcan on a pseudo-terminal."""
 
 import errno
+import math
 import time
+from contextlib import closing
 
+import can
 import pytest
 from spool import device, until
 
@@ -12,7 +15,7 @@ from valve_control.control.drivers import canopen_states as states
 from valve_control.control.drivers.can_bus import CanNode
 from valve_control.control.drivers.canopen_408 import KIND, PARAMETERS
 from valve_control.control.drivers.driver import DriverError
-from valve_control.parameter import defaults, updated
+from valve_control.parameter import ParameterError, defaults, updated
 
 PERIOD = 0.01  # s
 
@@ -101,6 +104,7 @@ def test_nothing_moves_before_enable_and_the_valve_is_off_at_the_end(valve):
 
 def test_lost_actual_values_are_counted(running, valve):
     running.read()
+    valve.order("emergency 0000")  # all is well again: no fault
     valve.order("drop 4")
     found = until(running.read, "a reading")
     assert found.lost >= 4 and names(running) == {"pdo_lost": "degraded"}
@@ -112,9 +116,10 @@ def test_lost_actual_values_are_counted(running, valve):
     [("mute", "heartbeat_lost", "DISABLED 0.0000"), ("emergency 3100", "emergency", "DISABLED 0.0000"),
      ("enable 0", "wrong_state", "DISABLED 0.0000"), ("quiet_fault", "fault", "FAULT 0.0000"),
      ("reset", "node_reset", "INIT 0.0000"), ("bus_off 1", "bus_silent", "FAULT 0.0000"),
-     ("local 1", "local_control", "DISABLED 0.0000")],
+     ("local 1", "local_control", "DISABLED 0.0000"), ("stop", "not_operational", "FAULT 0.0000")],
 )  # fmt: skip
 def test_faults_are_named_switch_off_and_stay_off_until_enabled_anew(running, valve, order, name, then):
+    running._since = -math.inf  # the valve has had its time to become ACTIVE
     valve.order(order)
     fault(running, name)
     until(lambda: (running.read(), valve.order("state").startswith(then))[1], then)
@@ -188,12 +193,31 @@ def test_an_answer_after_its_time_out_is_not_taken_for_the_next():
     with pytest.raises(DriverError):
         node.get(0x6301, 1, "h")
     assert node.get(0x6301, 1, "h") == 3 and node.get(0x6301, 1, "h") == 4
+    answering(node, [[], [answer[2]]])
+    with pytest.raises(DriverError):
+        node.get(0x6301, 1, "h")
+    node._sdo.responses.put(answer[1])  # it comes before the next request, which waits for no other one
+    node._sdo.RESPONSE_TIMEOUT, begun = 10.0, time.monotonic()
+    assert node.get(0x6301, 1, "h") == 2 and time.monotonic() < begun + 5.0
+    node.close()
+
+
+def test_frames_that_are_no_sound_data_are_left_out_and_that_of_bus_off_is_noted():
+    node, told = CanNode(5, 0.05, interface="virtual", channel="frames"), []
+    node.on_heartbeat(told.append)
+    node.on(0x185, lambda *words: told.append(words))
+    with can.Bus(interface="virtual", channel="frames") as other:
+        for identifier, data in ((0x705, b""), (0x185, None), (0x705, b"\5")):
+            other.send(can.Message(0.0, identifier, False, data is None, data=data))
+        node.pump(0.0)
+        assert told == [5] and not node.bus_off
+        other.send(can.Message(arbitration_id=0x40, is_error_frame=True))
+        node.pump(0.0)
+        assert told == [5] and node.bus_off
     node.close()
 
 
 def test_a_full_buffer_is_a_lost_frame_and_only_a_lasting_one_a_lost_device():
-    import can
-
     node, full = CanNode(5, 0.1, interface="virtual", channel="full"), True
     taken_frames = []
 
@@ -222,11 +246,32 @@ def test_a_full_buffer_is_a_lost_frame_and_only_a_lasting_one_a_lost_device():
      (("5", "408", "0x6311:1"), {}, "refuses object 0x6311:01.*set canopen.reference"),
      (("5",), {"interface": "no_such"}, r"no CAN bus /dev/pts/\d+ \(no_such\)"),
      (("5",), {"interface": "kvaser"}, r"no CAN bus /dev/pts/\d+ \(kvaser\)"),
-     (("5",), {"channel": "/dev/no_such"}, r"no CAN bus /dev/no_such \(slcan\)")],
+     (("5",), {"channel": "/dev/no_such"}, r"no CAN bus /dev/no_such \(slcan\)"),
+     (("5",), {"bitrate": 20000}, "SYNC and two PDOs take up to 13 ms, longer than sample_period, 10 ms"),
+     (("5", "408", "0x6301:1"), {}, "node 5 refuses object 0x6301:01"),
+     (("5", "408", "0x1800:2"), {}, "node 5 refuses 1 in object 0x1800:02")],
 )  # fmt: skip
 def test_a_wrong_bus_or_node_is_named(words, changes, said):
-    with device("valve_408", *words) as valve, pytest.raises(DriverError, match=said):
-        driver(valve, **changes).open()
+    with (
+        device("valve_408", *words) as valve,
+        pytest.raises((DriverError, ParameterError), match=said),
+        closing(driver(valve, **changes)) as made,
+    ):
+        made.open()
+        made.read()
+        made.enable(True)
+
+
+def test_counts_and_modes_that_the_user_gives_or_leaves(valve):
+    made = driver(valve, reference=8192, device_mode=0, watchdog=0.0, heartbeat=0.0)
+    made.open()
+    made._node.put(0x6311, 1, "h", -1)
+    made.enable(True)
+    until(lambda: (made.write(20.0), made.read(), made._node.get(0x6300, 1, "h"))[2] == 1638, "20 % of 8192")
+    assert made._node.get(0x6042, 0, "b") == 0 and made._node.get(0x6043, 0, "b") == 1
+    made.close()
+    with pytest.raises(DriverError, match="node 5 has -1 in 0x6311:01; set canopen.reference"):
+        driver(valve).open()
 
 
 def test_a_valve_that_answers_no_more_before_it_is_enabled_loses_readings_and_then_the_device(valve):

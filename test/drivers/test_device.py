@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valve_control.control.drivers import device as device_module
-from valve_control.control.drivers import simulated, ticks
-from valve_control.control.drivers.driver import DriverError, PolledDriver, Reading
+from valve_control.control.drivers import simulated, ticks, trial
+from valve_control.control.drivers.driver import Condition, DriverError, PolledDriver, Reading
 from valve_control.control.drivers.scaling import Scale, ScaleError, parse
 from valve_control.control.drivers.simulated import BACKLOG, SimulatedValve
 from valve_control.control.parameters import build, drivers
@@ -175,6 +175,33 @@ def test_a_device_that_goes_is_closed_told_and_opened_anew_as_it_was(act, monkey
     loose.calls.clear()
     one.read()
     assert loose.calls == ["open", "enable True"] and one.conditions() == () and one.reopened == 1
+
+
+def test_a_device_that_goes_after_a_fault_is_tried_again_in_time_and_its_output_stays_off():
+    loose = Polled([Reading(1.0, 0)])
+    one = volts(loose)
+    loose.plugged, loose.faults = False, (Condition("overheated", "safe", "it is too hot"),)
+    assert one.poll() is None and [c.name for c in one.conditions()] == ["device_gone"] and one.fileno() == -1
+    loose.plugged, loose.faults = True, ()
+    assert one.poll() is None and one.read() is None and one.reopened == 0
+    assert 0.0 < one.due() - time.monotonic() <= device_module.RETRY
+    one._retry_at = 0.0  # the time is over
+    assert one.poll() is None and one.reopened == 1 and loose.calls[-2:] == ["open", "enable False"]
+    one.write(2.0)
+    assert loose.calls[-1] == "enable False", "no voltage"
+    (told,) = one.conditions()
+    assert (told.name, told.level) == ("fault_before", "safe") and "after overheated: the output" in told.text
+    one.enable(True)
+    assert one.conditions() == () and one.poll() == (1.0, 0)
+
+
+def test_a_dry_run_without_a_reading_tells_the_faults_and_no_figures():
+    loose = Loose()
+    loose.faults = (Condition("wire_broken", "safe", "no supply"),)
+    one = volts(loose)
+    lines = trial.told(trial.run(one, 0.001), one, 0.001)
+    assert lines == ["readings   0, of which 0 not valid; 0 lost", "wire_broken: no supply"]
+    assert loose.calls[-1] == "close"
 
 
 P = build.valve_params(changed.valve(lvdt__noise=0.004))

@@ -42,17 +42,18 @@ def names(valve):
     return {c.name: c.level for c in valve.conditions()}
 
 
-def test_the_spool_follows_the_voltage_and_goes_to_zero_at_the_end(io):
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_spool_follows_the_voltage_and_goes_to_zero_at_the_end(io, sign):
     valve = driver(io)
     valve.open()
     assert valve.read() == (0.0, 0)
     valve.write(3.0)
     assert io.order("state") == "0.0000 0", "nothing is written before enable"
     valve.enable(True)
-    valve.write(2.0)
-    assert io.order("state") == "1.9999 1"  # 6553 counts
+    valve.write(sign * 2.0)
+    assert io.order("state") == f"{sign * 1.9999:.4f} 1"  # 6553 counts
     readings = [valve.read() for _ in range(100)]
-    assert readings[-1].signal == pytest.approx(1.67, abs=0.05)  # model (3): 0.83 V/V
+    assert readings[-1].signal == pytest.approx(sign * 1.67, abs=0.05)  # model (3): 0.83 V/V
     valve.close()
     assert io.order("state") == "0.0000 0"
 
@@ -94,6 +95,21 @@ def test_refused_requests_are_conditions_and_a_refused_voltage_switches_off(io):
     valve.enable(True)
     assert "write_refused" not in names(valve) and io.order("state") == "0.0000 1"
     valve.close()
+
+
+def test_a_busy_device_is_asked_again_and_one_that_stays_busy_or_refuses_its_reading_is_told(io):
+    valve = driver(io, timeout=0.2)
+    valve.open()
+    io.order("busy 2")
+    valve.enable(True)
+    assert io.order("state") == "0.0000 1" and names(valve) == {"busy": "degraded"}
+    io.order("busy 99")
+    with pytest.raises(DriverError, match="stays busy and does not accept holding register 5"):
+        valve.enable(True)
+    io.order("refuse_read 2")
+    valve.close()
+    with pytest.raises(DriverError, match=r"refuses input register 3: exception 2 \(no such address\)"):
+        valve.open()
 
 
 def test_a_device_that_answers_reads_and_no_writes_is_told(io):

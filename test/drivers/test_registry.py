@@ -8,7 +8,12 @@ import subprocess
 import sys
 import textwrap
 
+import pytest
 from examples import EXAMPLES
+
+from valve_control.control.drivers import registry
+from valve_control.control.drivers.driver import DriverError
+from valve_control.parameter import defaults
 
 SOUND = """
 from valve_control.control.drivers.driver import Kind
@@ -55,6 +60,15 @@ def test_broken_ones_are_left_out_with_the_reason(tmp_path):
         strict=True,
     ):  # fmt: skip
         assert "of the package card_driver is left out: " in sentence and words in sentence
+
+
+@pytest.mark.parametrize("name", ["canopen", "modbus", "serial"])
+def test_a_driver_without_its_library_says_how_to_install_it(monkeypatch, name):
+    monkeypatch.setitem(sys.modules, {"modbus": "pymodbus.client"}.get(name, name), None)
+    monkeypatch.delitem(sys.modules, "valve_control.control.drivers.can_bus", raising=False)
+    kind = registry.KINDS[name]
+    with pytest.raises(DriverError, match=rf"pip install 'valve_control\[{name}\]'"):
+        kind.make(defaults(kind.parameters), 0.01, 0.0).open()
 
 
 def test_the_example_of_the_docs_drives_files_of_counts(tmp_path):

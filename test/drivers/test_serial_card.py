@@ -158,6 +158,25 @@ def test_frames_from_before_are_no_readings_after_enable(card):
     driver.close()
 
 
+def test_of_frames_that_wait_too_long_the_newest_counts_and_the_others_are_lost(card):
+    driver = opened(card)
+    for count in (1, 101):
+        for _ in range(count):
+            card.send(0.0)
+        assert driver.read().lost == count - 1 and driver.poll() is None
+    driver.close()
+
+
+def test_a_line_that_takes_no_more_voltages_is_told(card):
+    driver = opened(card)
+    driver.enable(True)
+    for _ in range(2):  # the last frame is cut; then none passes
+        with pytest.raises(DriverError, match=f"the line {card.port} does not take the voltages"):
+            for _ in range(100_000):
+                driver.write(1.0)
+    driver.close()
+
+
 def test_a_port_that_goes_away_is_told_in_a_sentence():
     card = serial_card.Card()
     driver = opened(card)

@@ -163,6 +163,8 @@ class Valve:
             self.drop = int(value)
         elif word == "mute":
             self.node.nmt.stop_heartbeat()
+        elif word == "stop":
+            self.node.nmt.state = "PRE-OPERATIONAL"
         elif word == "bus_off":
             self.bus.bus_off = value == "1"
         elif word == "enable":
