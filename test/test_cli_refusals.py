@@ -250,9 +250,9 @@ def table():
         lines.append([command, "--no-such-option"])
     for command in BAGS:
         lines += [[*command.split(), "--map", bad] for bad in MAPS]
-        lines += [command.replace("{bag}", bad).split() for bad in ("missing", "folder", "/dev/zero")]
+        lines += [command.replace("{bag}", bad).split() for bad in ("missing", "folder", "/dev/null")]
     lines += [[*command.split(), *stretch.split()] for command in BAGS for stretch in STRETCHES]
-    lines += [["bag", "recover", bad] for bad in ("missing", "file.txt", "/dev/zero", "folder")]
+    lines += [["bag", "recover", bad] for bad in ("missing", "file.txt", "/dev/null", "folder")]
     return [*lines, [], ["nothing"], ["bag"], ["bag", "eat"]]
 
 
