@@ -58,6 +58,7 @@ def test_parameters_are_taken_as_a_whole_or_not_at_all(ros, tmp_path):
 
 
 @pytest.mark.alone
+@pytest.mark.campaign
 def test_demo_over_dds_equals_offline(tmp_path):
     """`make demo` for one controller, as a user runs it; all four are what `make demo` itself shows.
 

@@ -14,39 +14,35 @@ from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiA
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 
 
-def test_parameters_are_set_without_the_ros2_command(ros, tmp_path):
-    def put(*settings):
+def test_parameters_and_services_without_the_ros2_command(ros, tmp_path):
+    def start(script, *words):
         return subprocess.Popen(
-            [sys.executable, str(EXAMPLES / "set_parameters.py"), *settings],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            [sys.executable, str(EXAMPLES / script), *words],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
 
-    def said(child):
-        out, err = child.communicate(timeout=60)
-        return child.returncode, out, err
+    def ended(child):
+        out, _ = child.communicate(timeout=60)
+        return child.returncode, out
 
-    nobody = put("/nobody", "arc.k1=150.0")  # is waited for, for some seconds
-    incomplete = put("/controller", "arc.k1")
-    with controller(tmp_path):
-        assert said(put("/controller", "arc.k1=150.0")) == (0, "set\n", "")
-        assert get_double(ros, "arc.k1") == 150.0
-        status, out, _ = said(put("/controller", "arc.k1=-1.0"))
-        assert status == 1 and "arc.k1 out of range" in out
-    status, _, err = said(incomplete)
-    assert status == 2 and err.startswith("write: set_parameters.py NODE NAME=VALUE")
-    status, _, err = said(nobody)
-    assert status == 2 and "no node /nobody" in err
+    def put(*settings):
+        return ended(start("set_parameters.py", *settings))
 
-
-def test_services_are_called_without_the_ros2_command(tmp_path):
     def call(*words):
-        done = subprocess.run(
-            [sys.executable, str(EXAMPLES / "call_service.py"), *words],
-            capture_output=True, text=True, timeout=60,
-        )  # fmt: skip
-        return done.returncode, done.stdout + done.stderr
+        return ended(start("call_service.py", *words))
 
+    # Both are waited for, for some seconds.
+    nodeless, serviceless = (
+        start("set_parameters.py", "/nobody", "arc.k1=150.0"),
+        start("call_service.py", "/nobody/reset"),
+    )
     with controller(tmp_path):
+        assert put("/controller", "arc.k1=150.0") == (0, "set\n")
+        assert get_double(ros, "arc.k1") == 150.0
+        status, out = put("/controller", "arc.k1=-1.0")
+        assert status == 1 and "arc.k1 out of range" in out
+        status, out = put("/controller", "arc.k1")
+        assert status == 2 and out.startswith("write: set_parameters.py NODE NAME=VALUE")
         assert call("/controller/change_state", "deactivate")[0] == 0
         status, out = call("/controller/get_state")
         assert status == 0 and "'inactive'" in out
@@ -56,8 +52,9 @@ def test_services_are_called_without_the_ros2_command(tmp_path):
         assert status == 0 and "estimates and filters are at their start" in out
         status, out = call("/controller/set_parameters")
         assert status == 2 and "is a rcl_interfaces/srv/SetParameters; this script calls" in out
-    status, out = call("/nobody/reset")
-    assert status == 2 and out == "there is no service /nobody/reset\n"
+    status, out = ended(nodeless)
+    assert status == 2 and "no node /nobody" in out
+    assert ended(serviceless) == (2, "there is no service /nobody/reset\n")
 
 
 def test_topics_are_shown_without_the_ros2_command(ros, tmp_path):
