@@ -155,11 +155,9 @@ class Bag:
     def blocks(self, topics: Collection[str]) -> Iterator[tuple[str, Block]]:
         """Yield messages of ``topics`` in blocks, each of one topic."""
         for names, block in self._parts(topics):
-            for i in np.unique(block.topic).tolist():
+            for i in np.flatnonzero(np.bincount(block.topic)).tolist():
                 if names[i]:
-                    chosen = np.flatnonzero(block.topic == i)
-                    part = block if len(chosen) == len(block.topic) else block.select(chosen)
-                    yield names[i], self._decompressed(part)
+                    yield names[i], self._decompressed(block.select(block.topic == i))
 
     def in_file_order(self) -> Iterator[tuple[str, int, int, int, bytes]]:
         """Yield topic, log time [ns], publish time [ns], number and content of all messages."""
@@ -203,7 +201,7 @@ class Bag:
         for name, block in self.blocks(collected):
             since = -np.inf if start is None or name in raw else start
             inside = (block.log_time >= since) & (block.log_time < last)
-            collected[name].take(block if inside.all() else block.select(np.flatnonzero(inside)))
+            collected[name].take(block.select(inside))
         return {name: collector.series() for name, collector in collected.items()}
 
     def _column(self, name: str, fields: Sequence[str], start: int | None, end: int | None) -> Series:
@@ -330,15 +328,15 @@ class Bag:
         import zstandard
 
         decompress = zstandard.ZstdDecompressor().decompressobj
-        parts, good = [], []
+        parts, good = [], np.ones(len(block.topic), dtype=np.bool_)
         for i, content in enumerate(block.contents()):
             try:
                 parts.append(decompress().decompress(content))
-                good.append(i)
             except zstandard.ZstdError as error:
+                good[i] = False
                 self._complain(f"messages of {self.path} cannot be decompressed and are left out: {error}")
         length = np.array([len(part) for part in parts], dtype=np.int64)
-        kept = block.select(np.array(good, dtype=np.int64))
+        kept = block.select(good)
         return kept._replace(
             buffer=np.frombuffer(b"".join(parts), dtype=np.uint8),
             offset=np.cumsum(length) - length,

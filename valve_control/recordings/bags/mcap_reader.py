@@ -100,15 +100,14 @@ class McapFile:
             yield from self._blocks(self._content(*place), 0)
 
     def _blocks(self, buffer: Bytes, start: int) -> Iterator[Block]:
-        for messages, _, _ in _windows(buffer, start):
+        for messages in (found for found, _, _ in _windows(buffer, start) if len(found)):
             _, offset, length = np.ascontiguousarray(messages.T)
-            head = np.ascontiguousarray(buffer[offset[:, None] + np.arange(HEAD.itemsize)]).view(HEAD)[:, 0]
+            head = np.lib.stride_tricks.sliding_window_view(buffer, HEAD.itemsize)[offset].view(HEAD)[:, 0]
             log, publish, sequence = (head[name].astype(np.int64) for name in ("log", "publish", "sequence"))
             topic, publish = self._topic_of[head["channel"]], np.where(publish == 0, log, publish)
             place, at = np.arange(len(topic)), offset + HEAD.itemsize
             block = Block(buffer, topic, log, publish, sequence, place, at, length - HEAD.itemsize)
-            if len(topic):
-                yield block if (topic >= 0).all() else block.select(topic >= 0)
+            yield block.select(topic >= 0)
 
     def _index(self) -> None:
         """Find chunks, schemas and channels; a finished file repeats the last two in its summary."""

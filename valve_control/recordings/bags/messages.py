@@ -3,8 +3,9 @@
 """Defines messages and topics in the form in which the readers of both storages return them."""
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import numpy as np
 import numpy.typing as npt
 
 from valve_control.arrays import Bytes, Integers
@@ -53,9 +54,10 @@ class Block(NamedTuple):
         for at, size in zip(self.offset.tolist(), self.length.tolist(), strict=True):
             yield self.buffer[at : at + size].tobytes()
 
-    def select(self, chosen: npt.NDArray[Any]) -> "Block":
-        """The messages chosen by a mask or by indices."""
-        return Block(self.buffer, *(column[chosen] for column in self[1:]))
+    def select(self, chosen: npt.NDArray[np.bool_]) -> "Block":
+        """The messages chosen by a mask."""
+        at = np.flatnonzero(chosen)
+        return self if len(at) == len(chosen) else Block(self.buffer, *(column[at] for column in self[1:]))
 
 
 def absolute(name: str) -> str:

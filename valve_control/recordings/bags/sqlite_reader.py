@@ -97,7 +97,7 @@ class SqliteFile:
             while rows := cursor.fetchmany(ROWS):
                 *numbers, data = zip(*rows, strict=True)
                 number, stamp, publish, sequence = np.array(numbers, dtype=np.int64)
-                topic = np.array([self._index.get(n, -1) for n in number.tolist()], dtype=np.int64)
+                topic = -1 + sum((number == known) * (i + 1) for known, i in self._index.items())
                 length = np.fromiter(map(len, data), dtype=np.int64, count=len(data))
                 block = Block(
                     np.frombuffer(b"".join(data), dtype=np.uint8),
@@ -109,7 +109,7 @@ class SqliteFile:
                     np.cumsum(length) - length,
                     length,
                 )
-                yield block if (topic >= 0).all() else block.select(topic >= 0)
+                yield block.select(topic >= 0)
         except DAMAGE as error:
             self.damaged.add(0)
             self.problems.append(f"{self.path} is damaged, what follows is left out: {error} ({SALVAGE})")
