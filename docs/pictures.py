@@ -511,7 +511,7 @@ def commissioned(path: Path) -> None:
     plan = Plan(SafetyLimits(4.0, 2.0), "dcarc", 0.25, 200, 6, 32, seed=1, threads=1, firm=False)
     result = sequence.Commissioning(bench, plan, bench.values(), _Steps()).run(None)
     Path("report.html").write_text(commissioning_report.page(result), encoding="utf-8")
-    screenshot("report.html", path, 1500)
+    screenshot("report.html", path, 1225, 465)
 
 
 # Simulate
