@@ -300,12 +300,20 @@ def your_valve(path: Path) -> None:
     valve_control("compare", *files, *motion, "--duration", "1.0", "--figure", str(path))
 
 
+LOG = ("docs/examples/plc_log.csv", "--map", "spool_position=LVDT@4..20mA", "--map", "valve_voltage=U")
+
+
 @picture
 def your_log(path: Path) -> None:
     """Signals in the report of the tutorial's log."""
-    maps = ("--map", "spool_position=LVDT@4..20mA", "--map", "valve_voltage=U")
-    valve_control("analyze", "docs/examples/plc_log.csv", *maps, "--html", "report.html")
+    valve_control("analyze", *LOG, "--html", "report.html")
     screenshot("report.html", path, 1170, 545)
+
+
+@picture
+def your_log_model(path: Path) -> None:
+    """Frequency response of the tutorial's log, and the model."""
+    valve_control("identify", *LOG, "--figure", str(path))
 
 
 SOLENOID = "docs/examples/my_solenoid_valve.yaml"
@@ -503,7 +511,7 @@ def commissioned(path: Path) -> None:
     plan = Plan(SafetyLimits(4.0, 2.0), "dcarc", 0.25, 200, 6, 32, seed=1, threads=1, firm=False)
     result = sequence.Commissioning(bench, plan, bench.values(), _Steps()).run(None)
     Path("report.html").write_text(commissioning_report.page(result), encoding="utf-8")
-    screenshot("report.html", path, 1500)
+    screenshot("report.html", path, 1225, 465)
 
 
 # Simulate

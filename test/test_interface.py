@@ -31,7 +31,7 @@ def _options(parser):
 def _conditions():
     """Names in the first column of the table in docs/reference/modes.md."""
     table = (ROOT / "docs" / "reference" / "modes.md").read_text(encoding="utf-8").split("| condition |")[1]
-    cells = (row.split(" | ")[0] for row in table.splitlines() if row.startswith("| `"))
+    cells = (row.split(" | ")[0] for row in table.split("\n\n")[0].splitlines() if row.startswith("| `"))
     return sorted({name for cell in cells for name in re.findall(r"`(\w+)`", cell)})
 
 
