@@ -81,7 +81,7 @@ Source = Parameters | Mapping[str, Mapping[str, Any]] | str | os.PathLike[str]
 
 @dataclass(eq=False, repr=False)
 class Result(dict[str, Any]):
-    """Numbers of a task, those of --json, with its arrays, parameters and figure: help(valve_control.api)."""
+    """Numbers of a task, those of --json, with its arrays, parameters and figure."""
 
     text: str  #: that the command prints
     passed: bool  #: whether gains are accepted
@@ -348,7 +348,7 @@ def identify(*parameters: "Source", bag: str | os.PathLike[str] | None = None, *
     """Fit transfer functions to a test: of ``bag`` (a bag or log), or of the simulated valve.
 
     Example: ``identify(bag="test.csv", map={"spool_position": "lvdt", "valve_voltage": "u"}).parameters``
-    Numbers: fits: numerator, denominator, dead_time_s of each order; lvdt: noise, resolution; gains.
+    Numbers: fits: numerator, denominator, delay_s of each order; lvdt: noise, resolution; gains.
     Arrays: frequency_hz [Hz], real, imaginary [V/V] of the response, its deviation, coherence.
     """
     return _Call("identify", () if bag is None else (bag,), parameters, options).result("output")
@@ -398,6 +398,7 @@ def _describe_options() -> None:
     """Add the options with the help of the command line to the docstring of each task, for help()."""
     formatter, hidden = argparse.HelpFormatter(""), {"help", "params_file", *OUTPUTS}
     about = (__doc__ or "").partition("\n\n")[2]
+    Result.__doc__ = f"{Result.__doc__}\n\n{about}"
     for task in (simulate, compare, identify, tune, margins, analyze, replay):
         rows = [f"{inspect.cleandoc(task.__doc__ or '')}\n\nOptions, all of them keywords:"]
         for action in _commands().parsers[task.__name__]._actions:
