@@ -329,7 +329,8 @@ def simulate(*parameters: "Source", **options: Any) -> Result:
     """Run one controller on one simulated valve.
 
     Example: ``simulate("valve.yaml", controller="pid", command=motion, set={"pid.kp": 2.0}).plot()``
-    Numbers: indices, true_error: e_M, e_F, e_rms, u_rms [V], c_u [-]; saturated: share of the samples; steps.
+    Numbers: indices, of the reading: e_M (largest error), e_F (in the last two seconds), e_rms, u_rms [V],
+    c_u (chatter) [-]; true_error, of the position: e_M, e_rms [V]; saturated (share of the samples); warning.
     Arrays: time [s], command, position (the true one), measurement, voltage [V], and the terms of the law.
     """
     return _Call("simulate", (), parameters, options).result("npz")
@@ -370,6 +371,7 @@ def margins(*parameters: "Source", **options: Any) -> Result:
     """Gain, phase and delay margin of given gains on a valve or, with ``box=True``, on a box of valves.
 
     Example: ``margins("valve.yaml", "gains.yaml", controller="pid")["margins"]["this valve"]["phase_deg"]``
+    Numbers: margins: gain_db, reduction_db (None: without end), phase_deg, delay_s, sensitivity_db, swing_v.
     Arrays: frequency_hz [Hz], real and imaginary part of the open loop's response around this valve.
     """
     return _Call("margins", (), parameters, options).result()

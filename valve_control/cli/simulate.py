@@ -93,7 +93,7 @@ def delivery_options(points: bool = True) -> Parser:
     numbers(
         group,
         ("command-period", float, None, "S", "time [s] from one command to the next (one sample period)"),
-        ("command-jitter", float, None, "S", "mean delay [s]; a command is late by up to twice of it (0)"),
+        ("command-jitter", float, None, "S", "mean delay [s]; a command is late by up to twice this (0)"),
         ("command-drift", float, None, "PPM", "drift of the upper level's clock [ppm] (0)"),
     )
     if points:
