@@ -7,7 +7,7 @@ or dicts by node, {"valve_simulator": {"lvdt.noise": 0.004}}; later ones win. A 
 more than one takes a list, one of NAME=VALUE a dict; None switches a limit off. ``command`` is an array with
 one number [V] per sample, or a file. ``controller`` is the name of a law, or the ``LAW`` of your file.
 
-The Result is a dict of numbers, in V, V/s and s if the name has no unit; print() shows a table. It also has::
+The Result is a dict of numbers, in V, V/s and s if the name has no unit; print() shows a table. It also has:
 
     .arrays        signals by name, [samples]; .to_dataframe() has them as columns (of compare: rows of laws)
     .plot()        a figure of matplotlib, from simulate, compare, and identify with a test
