@@ -104,7 +104,7 @@ def test_a_log_of_arrays_is_analysed(tmp_path):
         (lambda: vc.simulate(command=[]), "command has 0 entries"),
         (lambda: vc.simulate(command=1.0), "command is a float; give an array"),
         (lambda: vc.simulate(controller=print), "controller is a builtin_function"),
-        (lambda: vc.simulate(vc.identify(data_sheet=[])), "a Result is no parameters; give .* the .parameters"),
+        (lambda: vc.simulate(vc.identify(data_sheet=[])), "a Result is no parameters; give .*parameters"),
         (lambda: vc.simulate(duration="long"), "^duration: invalid float value: 'long'$"),
         (lambda: vc.simulate(start=1.0), "^simulate without a bag takes no start$"),
         (lambda: vc.simulate(npz="traces.npz"), "npz is of the command line"),
