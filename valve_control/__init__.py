@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Controls a proportional directional control valve locally, after Bu and Yao."""
+"""Controls a proportional valve, after Bu and Yao; in Python begin with help(valve_control.simulate)."""
 
 from typing import TYPE_CHECKING, Any
 

@@ -2,12 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tasks as Python functions, for notebooks and scripts, with the names and defaults of the command line.
 
-Each option of ``valve-control TASK --help`` is a keyword, with underscores for dashes: a switch is True, an
-option that may stand several times takes a list, one of NAME=VALUE a dict, None switches a limit off. A
-motion may be an array [V], parameters may be a dict by node, a controller may be the ``LAW`` of your file.
-A task returns a Result: a dict of numbers with .text, .passed, .arrays, .parameters, .page, .plot() and
-.to_dataframe(). Progress and notes go to standard error. Bad input raises ParameterError, a bag that cannot
-be read BagError, a law that fails LawError (a RuntimeError), each with one sentence.
+Parameters (of valve, gains, command) are names of files, what ``load`` returns, ``.parameters`` of a result,
+or dicts by node, {"valve_simulator": {"lvdt.noise": 0.004}}; later ones win. A switch is True, an option for
+more than one takes a list, one of NAME=VALUE a dict; None switches a limit off. ``command`` is an array with
+one number [V] per sample, or a file. ``controller`` is the name of a law, or the ``LAW`` of your file.
+
+The Result is a dict of numbers, in V, V/s and s if the name has no unit; print() shows a table. It also has:
+
+    .arrays        signals by name, [samples]; .to_dataframe() has them as columns (of compare: rows of laws)
+    .plot()        a figure of matplotlib, from simulate, compare, and identify with a test
+    .law()         the law of simulate as a function: voltage [V] = law(command [V], reading [V])
+    .parameters    those of the valve from identify, or the gains from tune; .parameters.save("gains.yaml")
+    .passed        False if the gains of tune miss a limit; .parameters is then None
+    .page          the report of analyze and replay in HTML
+    .text          what print() shows
+
+Progress and notes go to standard error. Wrong input raises ParameterError, a bag or log that cannot be read
+BagError (both ValueErrors), a law that fails LawError (a RuntimeError), each with one sentence.
 """
 
 import argparse
@@ -20,6 +31,7 @@ import io
 import itertools
 import json
 import os
+import re
 import sys
 import tempfile
 import textwrap
@@ -56,6 +68,9 @@ class Parameters(NamedTuple):
     values: dict[str, Values]  # checked, by node: values["controller"]["arc.k1"]
     name: str = "parameters.yaml"  # for messages and titles
 
+    def __repr__(self) -> str:
+        return f"# {self.name}\n{self.text}"
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file to ``path``, whole or not at all. Raises OSError."""
         outputs.write(os.fspath(path), self.text)
@@ -66,14 +81,14 @@ Source = Parameters | Mapping[str, Mapping[str, Any]] | str | os.PathLike[str]
 
 @dataclass(eq=False, repr=False)
 class Result(dict[str, Any]):
-    """Result of a task: the numbers of --json, and what else the task gives."""
+    """Numbers of a task, those of --json, with its arrays, parameters and figure."""
 
     text: str  #: that the command prints
     passed: bool  #: whether gains are accepted
     arrays: Mapping[str, Floats]  #: signals by name, [samples]; of several valves VALVE/NAME
     parameters: Parameters | None  #: of the fitted valve, or the accepted gains
     page: str | None  #: report of a bag in HTML
-    arguments: argparse.Namespace  #: of the command
+    _arguments: argparse.Namespace  # of the command
 
     def __repr__(self) -> str:
         return self.text
@@ -94,17 +109,20 @@ class Result(dict[str, Any]):
         if "runs" in self:
             return pandas.DataFrame([{"law": run["controller"], **run["indices"]} for run in self["runs"]])
         if not self.arrays:
-            raise ParameterError(f"{self.arguments.task} gives no table; the result is a dict of its numbers")
+            raise ParameterError(f"{self._arguments.task} gives no table; its numbers are in the dict")
         return pandas.DataFrame({name: pandas.Series(column) for name, column in self.arrays.items()})
 
     def plot(self) -> "Figure":
-        """The figure that the command draws, of matplotlib, to change and save. Raises ParameterError."""
-        if not hasattr(self.arguments, "draw"):
-            raise ParameterError(f"{self.arguments.task} has no figure; simulate, compare or a test has one")
+        """The figure of the command, of matplotlib, to change and save; for axes of your own use ``arrays``.
+
+        Raises ParameterError if the task has no figure.
+        """
+        if not hasattr(self._arguments, "draw"):
+            raise ParameterError(f"{self._arguments.task} has no figure; simulate, compare or a test has one")
         import matplotlib.pyplot as plt
 
         figure: Figure = plt.figure()
-        self.arguments.draw([], figure=figure)
+        self._arguments.draw([], figure=figure)
         if "inline" in plt.get_backend():
             plt.close(figure)  # a notebook would show it a second time, below the cell
         return figure
@@ -114,9 +132,9 @@ class Result(dict[str, Any]):
 
         It is called once a sample, keeps its state, and begins at rest. Raises ParameterError.
         """
-        if not hasattr(self.arguments, "settings"):
-            raise ParameterError(f"{self.arguments.task} gives no law; a result of simulate does")
-        return offline.law_function(self.arguments.settings["controller"])
+        if not hasattr(self._arguments, "settings"):
+            raise ParameterError(f"{self._arguments.task} gives no law; a result of simulate does")
+        return offline.law_function(self._arguments.settings["controller"])
 
 
 class _Call(NamedTuple):
@@ -129,7 +147,7 @@ class _Call(NamedTuple):
 
     def result(self, *wanted: str) -> Result:
         """Run the task; the result has what the ``wanted`` outputs hold."""
-        for name in OUTPUTS.keys() & self.options.keys():
+        for name in {*OUTPUTS, "help"} & self.options.keys():
             raise ParameterError(f"{name} is of the command line; the result of {self.task} has all outputs")
         for source in self.words:
             if not isinstance(source, (str, os.PathLike)):
@@ -145,10 +163,12 @@ class _Call(NamedTuple):
                     arguments = _parsed(words, [word.replace(f"{folder}/", "") for word in line])
                     status = int(arguments.run(arguments) or 0)
                 except (ParameterError, BagError) as error:
-                    raise type(error)(str(error).replace(f"{folder}/", "")) from None
+                    raise type(error)(_in_python(str(error), f"{folder}/")) from None
             lines = [row for row in text.getvalue().splitlines() if folder not in row]
             contents = {name: dict(_contents(Path(file))) for name, file in files.items()}
         numbers = contents["json"][""]
+        for law in numbers.get("laws", {}).values():
+            law.pop("file")  # it is gone
         arrays = contents.get("npz", {}).get("") or {
             f"{valve.lstrip('_')}/{name}" if valve else name: column
             for valve, table in contents.get("csv", {}).items()
@@ -164,21 +184,24 @@ class _Call(NamedTuple):
     def _options(self, folder: Path) -> list[str]:
         files = [*self.parameters, *_several(self.options.get("params_file", []))]
         for file in files:
-            if not isinstance(file, (Parameters, Mapping, str, os.PathLike)):
+            if isinstance(file, Result) or not isinstance(file, (Parameters, Mapping, str, os.PathLike)):
                 raise ParameterError(
-                    f"{type(file).__name__} are no parameters; give files or dicts (a motion is command=)"
+                    f"a {type(file).__name__} is no parameters; give files, dicts, or the .parameters of a "
+                    "result, which are None if gains did not pass (a motion is command=, a test is bag=)"
                 )
         options = {**self.options, "params_file": files}
         words, actions = list[str](), _commands().parsers[self.task]._option_string_actions
         for name, value in options.items():
             option = option_of(name)
             if name in self.options and option not in actions:
-                near = difflib.get_close_matches(name, [a.dest for a in actions.values()], 1, 0.5)
+                known = [action.dest for action in actions.values()]
+                near = [n for n in known if n.startswith(name)] or difflib.get_close_matches(name, known)
                 meant = f"did you mean '{near[0]}'?" if near else f"help(valve_control.{self.task}) lists all"
                 raise ParameterError(f"{self.task} has no option {name}; {meant}")
             one = isinstance(actions.get(option), argparse._StoreAction) and name not in MANY
-            if one and len(_several(value)) > 1:
-                raise ParameterError(f"{name} has {len(value)} entries; {self.task} takes one")
+            count = len(_several(value))
+            if (one and count > 1) or (count == 0 and (one or name == "command")):
+                raise ParameterError(f"{name} has {count} entries; {self.task} takes one")
             if isinstance(value, Mapping):
                 plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in value.items()}
                 value = [f"{k}={v if isinstance(v, str) else as_text(v)}" for k, v in plain.items()]
@@ -193,6 +216,13 @@ class _Call(NamedTuple):
         return words
 
 
+def _in_python(text: str, folder: str) -> str:
+    """A message of the command without the name of a ``folder``, and with keywords in place of options."""
+    names = {"from": "start", "to": "end"}
+    text = re.sub(r"^valve-control \w+: (argument )?| \(see valve-control.*", "", text.replace(folder, ""))
+    return re.sub("--([a-z-]*[a-z])", lambda word: names.get(word[1], word[1].replace("-", "_")), text)
+
+
 class _Without(io.TextIOBase):
     """Standard error without the name of a folder."""
 
@@ -201,18 +231,19 @@ class _Without(io.TextIOBase):
 
     def write(self, text: str) -> int:
         """Write ``text``."""
-        return self._stream.write(text.replace(self._folder, ""))
+        return self._stream.write(_in_python(text, self._folder))
 
 
 def _several(value: Any) -> list[Any]:
-    """The entries of a list, or a single value."""
-    return value if isinstance(value, list) and not _is_motion(value) else [value]
+    """The entries of a list or tuple, or a single value."""
+    return [*value] if type(value) in (list, tuple) and not _is_motion(value) else [value]
 
 
 def _is_motion(value: Any) -> bool:
-    """Whether ``value`` is an array, of numpy or pandas, or a list of numbers."""
-    numbers = isinstance(value, list) and len(value) > 0 and isinstance(value[0], (int, float, np.number))
-    return numbers or (hasattr(value, "__array__") and np.ndim(value) > 0)
+    """Whether ``value`` is an array, of numpy or pandas, or numbers in a list or tuple."""
+    if type(value) in (list, tuple):
+        return len(value) > 0 and isinstance(value[0], (int, float, np.number))
+    return hasattr(value, "__array__") and np.ndim(value) > 0
 
 
 def _word(value: Any, folder: Path, name: str) -> str:
@@ -241,7 +272,12 @@ def _word(value: Any, folder: Path, name: str) -> str:
         path = _new(folder / value.name)
         value.save(path)
         return str(path)
-    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    if name == "command" and not isinstance(value, (str, os.PathLike)):
+        kind = type(value).__name__
+        raise ParameterError(f"command is a {kind}; give an array with one number [V] per sample, or a file")
+    if not isinstance(value, (str, os.PathLike, int, float, np.number)):
+        raise ParameterError(f"{name} is a {type(value).__name__}; give a word or a number")
+    return str(value)
 
 
 def _new(path: Path) -> Path:
@@ -281,68 +317,100 @@ def _contents(file: Path) -> Iterator[tuple[str, Any]]:
 
 
 def load(path: str | os.PathLike[str]) -> Parameters:
-    """The ROS 2 parameter file ``path``, checked. Raises ParameterError."""
+    """The ROS 2 parameter file ``path``, checked; Parameters have .values by node, .text and .save(path).
+
+    Example: ``load("valve.yaml").values["valve_simulator"]["lvdt.noise"]``. The values are for reading: to
+    change one, give a task ``set={"lvdt.noise": 0.01}``, or a dict by node after the file.
+    """
     file = Path(os.path.expanduser(path))
     return Parameters(values=files.load(str(file)), text=file.read_text(encoding="utf-8"), name=file.name)
 
 
-def simulate(*parameters: Source, **options: Any) -> Result:
-    """Run one controller on one simulated valve; ``command``: a bag or log, or one number [V] per sample.
+def simulate(*parameters: "Source", **options: Any) -> Result:
+    """Run one controller on one simulated valve.
 
-    Arrays: time [s], command, position, measurement, voltage [V], and the terms of the law.
+    Example: ``simulate("valve.yaml", controller="pid", command=motion, set={"pid.kp": 2.0}).plot()``
+    Numbers: indices, of the reading: e_M (largest error), e_F (in the last two seconds), e_rms, u_rms [V],
+    c_u (chatter) [-]; true_error, of the position: e_M, e_rms [V]; saturated (share of the samples); warning.
+    Arrays: time [s], command, position (the true one), measurement, voltage [V], and the terms of the law.
     """
     return _Call("simulate", (), parameters, options).result("npz")
 
 
-def compare(*parameters: Source, **options: Any) -> Result:
-    """Simulate all controllers on one valve."""
+def compare(*parameters: "Source", **options: Any) -> Result:
+    """Simulate all controllers on one valve.
+
+    Example: ``compare("valve.yaml", command=motion).to_dataframe()``
+    Numbers: runs: those of simulate, for each law.
+    """
     return _Call("compare", (), parameters, options).result()
 
 
-def identify(*parameters: Source, bag: str | os.PathLike[str] | None = None, **options: Any) -> Result:
-    """Fit transfer functions to the test ``bag``, or a simulated one; gives parameters and the response."""
+def identify(*parameters: "Source", bag: str | os.PathLike[str] | None = None, **options: Any) -> Result:
+    """Fit transfer functions to a test: of ``bag`` (a bag or log), or of the simulated valve.
+
+    Example: ``identify(bag="test.csv", map={"spool_position": "lvdt", "valve_voltage": "u"}).parameters``
+    Numbers: fits: numerator, denominator, delay_s of each order; lvdt: noise, resolution; gains.
+    Arrays: frequency_hz [Hz], real, imaginary [V/V] of the response, its deviation, coherence.
+    """
     return _Call("identify", () if bag is None else (bag,), parameters, options).result("output")
 
 
-def tune(*parameters: Source, **options: Any) -> Result:
-    """Search and verify the gains of one law for a valve and its spread; gives accepted parameters."""
+def tune(*parameters: "Source", **options: Any) -> Result:
+    """Search the gains of one law for a valve and its spread, and verify them on other valves.
+
+    Example: ``tune("valve.yaml", controller="dcarc", command=[motion], overshoot=None).parameters``
+    Numbers: laws: by law the chosen gains, the front, verified, margins, limits, notes.
+    """
     law = options.get("controller")
     if isinstance(law, str) and ("," in law or law == "all"):
         raise ParameterError(f"controller is {law}; tune takes one law, call it for each")
     return _Call("tune", (), parameters, options).result("output")
 
 
-def margins(*parameters: Source, **options: Any) -> Result:
+def margins(*parameters: "Source", **options: Any) -> Result:
     """Gain, phase and delay margin of given gains on a valve or, with ``box=True``, on a box of valves.
 
+    Example: ``margins("valve.yaml", "gains.yaml", controller="pid")["margins"]["this valve"]["phase_deg"]``
+    Numbers: margins: gain_db, reduction_db (None: without end), phase_deg, delay_s, sensitivity_db, swing_v.
     Arrays: frequency_hz [Hz], real and imaginary part of the open loop's response around this valve.
     """
     return _Call("margins", (), parameters, options).result()
 
 
 def analyze(bag: str | os.PathLike[str], **options: Any) -> Result:
-    """Sample rates, indices, estimates and spectra of a ``bag`` or log; gives arrays and a page."""
+    """Sample rates, indices, estimates and spectra of a ``bag`` or log.
+
+    Example: ``analyze("log.csv", map={"spool_command": "wanted", "spool_position": "lvdt*0.001"}).arrays``
+    Numbers: bag, and by name valves: indices, segments (motions), timing, latency_s, changes.
+    Arrays: time_s [s], stamp_ns [ns], command_V, measurement_V, error_V, voltage_V [V].
+    """
     return _Call("analyze", (bag,), (), options).result("csv", "html")
 
 
-def replay(bag: str | os.PathLike[str], *parameters: Source, **options: Any) -> Result:
-    """Replay a ``bag`` in shadow; gives arrays and a page."""
+def replay(bag: str | os.PathLike[str], *parameters: "Source", **options: Any) -> Result:
+    """Feed the recorded command and readings of ``bag`` to a controller, and compare its voltage.
+
+    Example: ``replay("monday", set={"arc.k1": 150.0})["difference_rms_V"]``
+    Arrays: time_s [s], command_V, measurement_V, recorded_voltage_V, shadow_voltage_V [V].
+    """
     return _Call("replay", (bag,), parameters, options).result("csv", "html")
 
 
 def _describe_options() -> None:
     """Add the options with the help of the command line to the docstring of each task, for help()."""
-    formatter, hidden = argparse.HelpFormatter(""), {"help", *OUTPUTS}
+    formatter, hidden = argparse.HelpFormatter(""), {"help", "params_file", *OUTPUTS}
     about = (__doc__ or "").partition("\n\n")[2]
+    Result.__doc__ = f"{Result.__doc__}\n\n{about}"
     for task in (simulate, compare, identify, tune, margins, analyze, replay):
-        rows = [f"{inspect.cleandoc(task.__doc__ or '')}\n\n{about}\nOptions:"]
+        rows = [f"{inspect.cleandoc(task.__doc__ or '')}\n\nOptions, all of them keywords:"]
         for action in _commands().parsers[task.__name__]._actions:
             if action.dest not in hidden:
                 metavar = "" if action.choices else formatter._format_args(action, "")
                 text = f"{action.dest}{metavar and f' ({metavar})'}: {formatter._expand_help(action)}"
                 text += f"; one of {', '.join(map(str, action.choices))}" if action.choices else ""
                 rows.append(textwrap.fill(text, 100, initial_indent="    ", subsequent_indent="        "))
-        task.__doc__ = "\n".join(rows)
+        task.__doc__ = "\n".join([*rows, "", about])
 
 
 _describe_options()

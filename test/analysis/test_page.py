@@ -27,6 +27,7 @@ def test_a_large_error_does_not_hide_the_small_ones(tmp_path):
     draw_traces([tmp_path / "both.svg"], runs, "title")
     text = (tmp_path / "both.svg").read_text()
     assert "<!-- small errors [mV] -->" in text and "<!-- bad: 100 mV rms, 10 % of stroke -->" in text
+    assert {"#e69f00", "#882255"} <= set(re.findall(r"stroke: (#\w+)", text))  # laws of other packages
 
 
 def test_spectrum_of_a_sine_stands_at_its_frequency_with_its_power():

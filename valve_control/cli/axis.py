@@ -6,17 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import (
-    changes_of,
-    csv_text,
-    deliver,
-    law_option,
-    names_of_files,
-    output_group,
-    parameter_options,
-    write_json,
-    wrote,
-)
+from valve_control.cli import common
 from valve_control.control.analysis.figures import COLOURS, Line, Plot, draw_columns
 from valve_control.control.compiling import explained
 from valve_control.control.laws.registry import LAWS
@@ -36,13 +26,13 @@ def add_commands(commands: Any) -> None:
         "parameters' lists the parameters of axis_simulator and axis_controller.",
     )
     group = axis.add_argument_group("simulation")
-    law_option(group, "law of the valve (default: arc)")
+    common.law_option(group, "law of the valve (default: arc)")
     text = "upper level: axis_pid or axis_arc (axis_pid)"
     group.add_argument("--upper", dest="upper_level", metavar="LEVEL", help=text)
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (3.0)")
     group.add_argument("--seed", type=int, metavar="N", help="seed of the sensors' noise (1)")
-    parameter_options(group, "any parameter of axis, upper level, valve or its controller")
-    output_group(axis, csv="signals as CSV", figure="motion, error, spool and pressures as PNG or SVG")
+    common.parameter_options(group, "any parameter of axis, upper level, valve or its controller")
+    common.output_group(axis, csv="signals as CSV", figure="motion, error, spool and pressures as PNG or SVG")
     axis.set_defaults(run=_axis)
 
 
@@ -50,7 +40,7 @@ def _axis(arguments: argparse.Namespace) -> None:
     from valve_control.axis import run
     from valve_control.axis.axis_parameters import AXIS_NODES
 
-    usual, changes = run.default_settings(), changes_of(arguments, AXIS_NODES)
+    usual, changes = run.default_settings(), common.changes_of(arguments, AXIS_NODES)
     setup = run.setup({n: updated(table, usual[n], changes[n]) for n, table in AXIS_NODES.items()})
     with explained(LAWS[setup.law].title):
         found = run.simulate(setup)
@@ -64,12 +54,12 @@ def _axis(arguments: argparse.Namespace) -> None:
         print(_notes(setup, found))
     if arguments.csv is not None:
         columns = {"time": found.time, **found.signals}
-        deliver(arguments, arguments.csv, csv_text(columns, "%.10g"))
+        common.deliver(arguments, arguments.csv, common.csv_text(columns, "%.10g"))
     if arguments.figure is not None:
-        title = f"axis under {setup.level}, valve under {setup.law} ({names_of_files(arguments)})"
+        title = f"axis under {setup.level}, valve under {setup.law} ({common.names_of_files(arguments)})"
         _draw(Path(arguments.figure), found, title)
-        wrote(arguments, arguments.figure)
-    write_json(
+        common.wrote(arguments, arguments.figure)
+    common.write_json(
         arguments, {"controller": setup.law, "upper_level": setup.level, **i._asdict(), **_extremes(found)}
     )
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 OF_PLAN = ("budget", "valves", "unseen", "seed", "threads", "sensor_delay")  # options
 FAILED = 1  # exit status if the parameters are the previous ones
-KEPT = f"limit of c_u, kept if given ({CHATTER:g}, or more if none keep it)"
+KEPT = f"limit of the chatter c_u ({CHATTER:g}, or more if no gains keep that)"
 
 
 def add_commands(commands: Any) -> None:

@@ -100,7 +100,7 @@ THREADS: Row = (
 
 def repeated(group: Any, option: str, metavar: str, text: str) -> None:
     """Add an ``option`` that may be given several times, whose help is ``text``."""
-    group.add_argument(option, action="append", default=[], metavar=metavar, help=f"{text}; again for more")
+    group.add_argument(option, action="append", default=[], metavar=metavar, help=f"{text}; can be repeated")
 
 
 def parameter_options(group: Any, parameters: str) -> None:
@@ -183,7 +183,7 @@ def bag_options(group: Any, sources: str = "as for analyze", of: bool = True) ->
     if of:
         group.add_argument("--of", metavar="VALVE", help="valve to read, if the bag has several")
     for option, name, word in (("--from", "start", "begin"), ("--to", "end", "end")):
-        text = f"{word} S seconds after the beginning of the bag"
+        text = f"{word} S seconds after the beginning of the bag or log"
         group.add_argument(option, dest=name, type=float, metavar="S", help=text)
     group.add_argument(
         "--clock",

@@ -7,17 +7,7 @@ import os
 from typing import Any
 
 from valve_control import outputs
-from valve_control.cli.common import (
-    changes_of,
-    check_outputs,
-    law_option,
-    output_group,
-    parameter_options,
-    progress,
-    refuse,
-    write_json,
-    wrote,
-)
+from valve_control.cli import common
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, defaults, updated
@@ -33,7 +23,7 @@ def add_commands(commands: Any) -> None:
         "write an FMU for co-simulation (Linux, x86-64) that contains the C.",
     )
     group = options.add_argument_group("export")
-    law_option(group)
+    common.law_option(group)
     group.add_argument(
         "--plant",
         choices=("valve",),
@@ -44,8 +34,8 @@ def add_commands(commands: Any) -> None:
         action="store_true",
         help="export the law with the supervision of LVDT and command: gaps, 0 V on faults, limits",
     )
-    parameter_options(group, "any parameter")
-    output = output_group(options)
+    common.parameter_options(group, "any parameter")
+    output = common.output_group(options)
     text = "new folder, or new file of an FMU"
     output.add_argument("--output", dest="folder", metavar="DIR", required=True, help=text)
     output.add_argument(
@@ -68,16 +58,16 @@ def _export(arguments: argparse.Namespace) -> None:
     from valve_control.export import fmu, folder, settable, unit
 
     path = folder.refuse_taken(arguments.folder)
-    check_outputs(arguments, str(path))
+    common.check_outputs(arguments, str(path))
     for name, others in OTHERS.items():
         if getattr(arguments, name):
-            refuse(arguments, others, f"export --{name}")
+            common.refuse(arguments, others, f"export --{name}")
     if arguments.fmu is None and arguments.folder.lower().endswith(".fmu"):
         raise ParameterError(
             f"--output {arguments.folder} is the name of an FMU, and C goes into a folder; --fmu 2 or "
             "--fmu 3 makes an FMU"
         )
-    changes = changes_of(arguments)
+    changes = common.changes_of(arguments)
     node, what = ("valve_simulator", "the valve") if arguments.plant else ("controller", "a law")
     files.refuse_others(arguments.set, {node: NODES[node]}, f"export writes {what} alone")
     values = updated(NODES[node], defaults(NODES[node]), changes[node])
@@ -85,15 +75,15 @@ def _export(arguments: argparse.Namespace) -> None:
         chosen = unit.plant(values)
     else:
         chosen = (unit.watched if arguments.watch else unit.law)(values)
-    with progress(len(chosen.table) + 1, "parameters") as bar:
+    with common.progress(len(chosen.table) + 1, "parameters") as bar:
         found = settable.find(chosen, bar.update)
         if arguments.fmu is not None:
             outputs.write(str(path), fmu.make(chosen, arguments.fmu, found))
-            wrote(arguments, arguments.folder)
+            common.wrote(arguments, arguments.folder)
         else:
             content = folder.files(chosen, arguments.float, found)
             folder.write(path, content)
-            wrote(arguments, os.path.join(arguments.folder, ""), f" with {', '.join(content)}")
+            common.wrote(arguments, os.path.join(arguments.folder, ""), f" with {', '.join(content)}")
     result = {
         "name": chosen.name,
         "watch": arguments.watch,
@@ -104,4 +94,4 @@ def _export(arguments: argparse.Namespace) -> None:
         "settable": sorted({setter.parameter.name for setter in found.setters}),
         "new_export": found.others,
     }
-    write_json(arguments, result)
+    common.write_json(arguments, result)

@@ -7,24 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import (
-    WITH_BAG,
-    bag_options,
-    changes_of,
-    check_figure,
-    check_outputs,
-    deliver,
-    load,
-    numbers,
-    output_group,
-    refuse,
-    repeated,
-    say,
-    tell_notes,
-    valve_of,
-    write_json,
-    wrote,
-)
+from valve_control.cli import common
 from valve_control.cli.simulate import SCENARIOS, setup_options
 from valve_control.control.commands import arrays
 from valve_control.control.parameters import files as parameter_files
@@ -51,8 +34,8 @@ def add_commands(commands: Any) -> None:
         parents=[setup_options()],
         conflict_handler="resolve",
         help="fit transfer functions of a valve to a simulated or recorded test",
-        description="Measure the frequency response from voltage to LVDT and fit transfer functions like "
-        "(2) and (3) with confidence bounds. Without a bag the test is simulated, without feedback: a "
+        description="Measure the frequency response from voltage to LVDT and fit transfer functions "
+        "with confidence bounds. Without a bag the test is simulated, without feedback: a "
         "stepped sine from 0.5 to 100 Hz, or the test of --scenario (sweep, ...), --command or --set "
         "(frequency, end_frequency, steps, cycles, step_time, sweep_time, amplitude, offset; amplitude "
         "and offset in V of voltage).",
@@ -79,10 +62,10 @@ def add_commands(commands: Any) -> None:
         help="use the valve of a data sheet without a test (natural_frequency=18 damping=0.8 hysteresis=4); "
         "alone: list the names",
     )
-    bag_options(identify.add_argument_group("with a bag"))
+    common.bag_options(identify.add_argument_group("with a bag"))
     group = identify.add_argument_group("measurement and fit")
-    text = "transient [s] that is left out at the beginning of each step (0.4)"
-    numbers(group, ("settle", float, None, "S", text), ("sensor-delay", float, None, "S", DELAY))
+    text = "time [s] left out at the beginning of each step of frequency (0.4)"
+    common.numbers(group, ("settle", float, None, "S", text), ("sensor-delay", float, None, "S", DELAY))
     group.add_argument(
         "--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help="fit only these frequencies [Hz]"
     )
@@ -94,8 +77,8 @@ def add_commands(commands: Any) -> None:
         "time are chosen by the response)",
     )
     yaml = "ROS 2 parameter file: valve model and first gains for every law"
-    output = output_group(identify, output=yaml, figure="Bode plot as PNG or SVG")
-    repeated(
+    output = common.output_group(identify, output=yaml, figure="Bode plot as PNG or SVG")
+    common.repeated(
         output, "--characteristic", "FILE", "with --friction: draw the characteristic curve in both "
         "directions as PNG or SVG, or write as YAML the parameters linearisation.* of its inverse",
     )  # fmt: skip
@@ -107,12 +90,12 @@ def _identify(arguments: argparse.Namespace) -> int:
 
     tables = [path for path in arguments.characteristic if Path(path).suffix.lower() in (".yaml", ".yml")]
     drawings = [path for path in arguments.characteristic if path not in tables]
-    check_outputs(arguments, *arguments.characteristic)
+    common.check_outputs(arguments, *arguments.characteristic)
     for path in drawings:
-        check_figure(path)
+        common.check_figure(path)
     if arguments.data_sheet == []:
-        say(arguments, "\n".join(row.described for row in datasheet.SHEET))
-        write_json(arguments, {row.name: row.described for row in datasheet.SHEET})
+        common.say(arguments, "\n".join(row.described for row in datasheet.SHEET))
+        common.write_json(arguments, {row.name: row.described for row in datasheet.SHEET})
         return 0
     tested = arguments.data_sheet is None
     found = _tested(arguments) if tested else _of_data_sheet(arguments)
@@ -128,17 +111,17 @@ def _identify(arguments: argparse.Namespace) -> int:
     if arguments.json != "-":
         print(result.text(found))
     for path, content in files:
-        deliver(arguments, path, content)
+        common.deliver(arguments, path, content)
     if tested:
         arguments.draw = partial(result.draw_bode, found=found)
     if arguments.figure is not None:
         arguments.draw([Path(arguments.figure)])
-        wrote(arguments, arguments.figure)
+        common.wrote(arguments, arguments.figure)
     for path in drawings:
         assert found.curve is not None
         characteristic.draw(found.curve, path)
-        wrote(arguments, path)
-    write_json(arguments, result.as_dict(found))
+        common.wrote(arguments, path)
+    common.write_json(arguments, result.as_dict(found))
     return 0
 
 
@@ -157,7 +140,7 @@ def _tested(arguments: argparse.Namespace) -> "Identification":
     try:
         return identify.identified(tested, triangle, request)
     except ParameterError:
-        tell_notes(tested.notes)  # on the recording: they may say why
+        common.tell_notes(tested.notes)  # on the recording: they may say why
         raise
 
 
@@ -166,7 +149,7 @@ def _of_data_sheet(arguments: argparse.Namespace) -> "Identification":
     from valve_control.design.identification import datasheet
 
     others = [name for name in vars(arguments) if name not in WRITING]
-    refuse(arguments, others, "identify --data-sheet tests nothing, so it")
+    common.refuse(arguments, others, "identify --data-sheet tests nothing, so it")
     nodes = {"sheet": datasheet.SHEET}
     return datasheet.valve(parameter_files.given([], {}, arguments.data_sheet, nodes=nodes)["sheet"])
 
@@ -175,10 +158,10 @@ def _simulated(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment |
     """Tests of the simulated valve: of its response, and of its friction if it is asked for."""
     from valve_control.design.identification import experiment, friction
 
-    refuse(arguments, WITH_BAG, "identify without a bag")
+    common.refuse(arguments, common.WITH_BAG, "identify without a bag")
     if arguments.command is not None:
-        refuse(arguments, ["scenario"], "identify with --command")
-    changes = changes_of(arguments)
+        common.refuse(arguments, ["scenario"], "identify with --command")
+    changes = common.changes_of(arguments)
     tables = {node: NODES[node] for node in ("valve_simulator", "command_source")}
     parameter_files.refuse_others(arguments.set, tables, "identify tests the valve without feedback")
     controller, valve = (
@@ -203,16 +186,16 @@ def _recorded(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | 
     """Tests in bags: of the response, and of the friction if it is asked for."""
     from valve_control.design.identification import recorded
 
-    refuse(arguments, SIMULATED, "identify with a bag")
+    common.refuse(arguments, SIMULATED, "identify with a bag")
     paths = [path for path in (arguments.bag, arguments.friction) if path is not None]
     tests = []
     for path, part in zip(paths, ({}, {"start": None, "end": None}), strict=False):  # of a triangle all
         try:
-            loaded = load(arguments, path, **part)
+            loaded = common.load(arguments, path, **part)
         except BagError as error:
             if not arguments.map or len(paths) == 1:
                 raise
             both = "--map counts for both tests: give two bags, or two tables with the same columns"
             raise BagError(f"{error} ({both})") from error
-        tests.append(recorded.recorded(loaded, valve_of(arguments, path, loaded.valves)))
+        tests.append(recorded.recorded(loaded, common.valve_of(arguments, path, loaded.valves)))
     return tests[0], tests[1] if len(tests) > 1 else None

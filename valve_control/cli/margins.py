@@ -35,7 +35,7 @@ def add_commands(commands: Any) -> None:
     law_option(options)
     text = "also find the worst margins over the box of valves around this one"
     options.add_argument("--box", action="store_true", help=text)
-    repeated(options, "--fix", "NAME", "with --box: quantity that stays constant")
+    repeated(options, "--fix", "NAME", "with --box: quantity of the box that keeps its value")
     output_group(options)
     options.set_defaults(run=_margins)
 

@@ -7,22 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import (
-    Parser,
-    bag_options,
-    changes_of,
-    check_outputs,
-    csv_text,
-    deliver,
-    law_option,
-    load,
-    output_group,
-    parameter_options,
-    progress,
-    say,
-    valve_of,
-    write_json,
-)
+from valve_control.cli import common
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import NODES
 from valve_control.recordings.bags.errors import BagError
@@ -33,14 +18,14 @@ if TYPE_CHECKING:
     from valve_control.recordings.report import Report
 
 
-def _bag_options() -> Parser:
-    options = Parser(add_help=False)
+def _bag_options() -> common.Parser:
+    options = common.Parser(add_help=False)
     options.add_argument(
         "bag",
         metavar="BAG",
         help=f"folder with metadata.yaml, an .mcap or .db3 file, or a log: {', '.join(KINDS)}",
     )
-    bag_options(
+    common.bag_options(
         options.add_argument_group("input"),
         "source of spool_command, spool_position or valve_voltage: any number of any message, such "
         "as spool_position=/joint_states.position[0]*250 (volts per unit after *, with an "
@@ -49,7 +34,7 @@ def _bag_options() -> Parser:
         "time=row*0.001 at 1 kHz",
         of=False,
     )
-    output_group(
+    common.output_group(
         options,
         csv="aligned signals as CSV (of several valves: one file each)",
         html="one self-contained page with zoomable figures",
@@ -81,7 +66,7 @@ def add_commands(commands: Any) -> None:
     )
     recover.add_argument("bag", metavar="BAG", help="folder of the bag, or one file")
     recover.add_argument("--out", metavar="FOLDER", help="new bag (default: BAG_recovered)")
-    output_group(recover)
+    common.output_group(recover)
     recover.set_defaults(run=_recover)
 
 
@@ -96,8 +81,8 @@ def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
     )
     replay.add_argument("--of", metavar="VALVE", help="valve to replay, if the bag has several")
     group = replay.add_argument_group("instead of the recorded parameters")
-    law_option(group, "control law")
-    parameter_options(group, "a parameter")
+    common.law_option(group, "control law")
+    common.parameter_options(group, "a parameter")
     replay.set_defaults(run=_replay)
 
 
@@ -105,13 +90,13 @@ def _analyze(arguments: argparse.Namespace) -> None:
     from valve_control.recordings import analysis_report, axis_analysis
     from valve_control.recordings.analysis import analyze
 
-    loaded = load(arguments, arguments.bag)
+    loaded = common.load(arguments, arguments.bag)
     result = analyze(loaded)
     ends = (arguments.start, arguments.end)
     part = (None if at is None else loaded.bag.begin + round(at * 1e9) for at in ends)
     report = analysis_report.of_bag(result, axis_analysis.axes(loaded.bag, *part))
     csv_files = _csv_files(arguments.csv, result.valves)
-    check_outputs(arguments, *(csv_files.keys() - {arguments.csv}))
+    common.check_outputs(arguments, *(csv_files.keys() - {arguments.csv}))
     _deliver(arguments, report, csv_files)
 
 
@@ -134,18 +119,18 @@ def _replay(arguments: argparse.Namespace) -> int:
     from valve_control.recordings import replay_report, shadow
     from valve_control.recordings.analysis import analyze
 
-    loaded = load(arguments, arguments.bag, journals=True)
-    found = valve_of(arguments, arguments.bag, analyze(loaded).valves)
+    loaded = common.load(arguments, arguments.bag, journals=True)
+    found = common.valve_of(arguments, arguments.bag, analyze(loaded).valves)
     left_out = [*loaded.problems, *found.left_out]
-    changes = changes_of(arguments, recorded=True)
+    changes = common.changes_of(arguments, recorded=True)
     why = "replay has the recorded command and readings"
     files.refuse_others(arguments.set, {"controller": NODES["controller"]}, why)
     readings = found.valve.signals.get("spool_position")
-    with progress(0 if readings is None else len(readings.time), "samples") as bar:
+    with common.progress(0 if readings is None else len(readings.time), "samples") as bar:
         result = shadow.replay(found.valve, changes["controller"], bar.update)
     result = result._replace(left_out=[*left_out, *result.left_out])
     report = replay_report.of_shadow(result, arguments.bag, found.valve.name)
-    csv_files = {} if arguments.csv is None else {arguments.csv: csv_text(report.columns, "%.17g")}
+    csv_files = {} if arguments.csv is None else {arguments.csv: common.csv_text(report.columns, "%.17g")}
     _deliver(arguments, report, csv_files)
     return 0
 
@@ -155,10 +140,10 @@ def _deliver(arguments: argparse.Namespace, report: "Report", csv_files: Mapping
     if arguments.json != "-":
         print(report.text)
     for path, content in csv_files.items():
-        deliver(arguments, path, content)
+        common.deliver(arguments, path, content)
     if arguments.html is not None:
-        deliver(arguments, arguments.html, report.html)
-    write_json(arguments, report.about)
+        common.deliver(arguments, arguments.html, report.html)
+    common.write_json(arguments, report.about)
 
 
 def _recover(arguments: argparse.Namespace) -> int:
@@ -166,16 +151,16 @@ def _recover(arguments: argparse.Namespace) -> int:
 
     result = recover(Path(arguments.bag), Path(arguments.out) if arguments.out is not None else None)
     out = str(result.out) if result.out is not None else None
-    write_json(arguments, {**result._asdict(), "bag": str(result.bag), "out": out})
+    common.write_json(arguments, {**result._asdict(), "bag": str(result.bag), "out": out})
     if result.messages == 0:
-        say(arguments, f"{result.bag} holds no message that can be read; nothing was written")
+        common.say(arguments, f"{result.bag} holds no message that can be read; nothing was written")
         return 1
     if result.out is None:
-        say(arguments, f"{result.bag} is whole ({result.messages} messages), nothing was written")
+        common.say(arguments, f"{result.bag} is whole ({result.messages} messages), nothing was written")
         return 0
     for problem in result.problems:
-        say(arguments, f"note: {problem}")
+        common.say(arguments, f"note: {problem}")
     chunks = f", {result.damaged_chunks} damaged chunks left out" if result.damaged_chunks else ""
     lost = "" if result.lost is None else f", {result.lost} lost"
-    say(arguments, f"wrote {result.out}: {result.messages} messages{lost}{chunks}")
+    common.say(arguments, f"wrote {result.out}: {result.messages} messages{lost}{chunks}")
     return 0

@@ -49,6 +49,7 @@ from valve_control.parameter import ParameterError, Values, defaults, lookup, nu
 
 VALVES = lookup(NODES["valve_simulator"], "valve").choices
 ARRAYS = {".csv", ".txt", ".tsv", ".dat"}  # suffixes of a log too, but only with --map
+PARAMETERS = "List the parameters of all nodes, or those with a word such as 'arc.' in their names."
 FIGURE = "command, position, error and voltage as PNG or SVG"
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
@@ -71,10 +72,10 @@ def setup_options(several: bool = False, log: str = "") -> Parser:
         "--command",
         metavar="FILE",
         action="append" if several else "store",
-        help="command from a CSV or NPY array, one number per sample period"
-        + ("; again for more" if several else log),
+        help="motion: CSV or NPY with one number [V] per sample period"
+        + ("; can be repeated" if several else log),
     )
-    group.add_argument("--duration", type=float, metavar="S", help="length [s] (6.0, or the whole array)")
+    group.add_argument("--duration", type=float, metavar="S", help="length [s] (6.0, or that of --command)")
     numbers(group, SEED if several else ("seed", int, None, "N", "seed of the LVDT noise (1)"))
     return options
 
@@ -82,7 +83,7 @@ def setup_options(several: bool = False, log: str = "") -> Parser:
 def _valve_options(group: Any, nodes: str) -> None:
     group.add_argument("--valve", choices=VALVES, help="valve model (default: fourth_order)")
     group.add_argument("--sample-period", type=float, metavar="S", help="sample period [s] (0.001)")
-    parameter_options(group, f"any parameter of {nodes}")
+    parameter_options(group, f"any parameter of {nodes}; 'valve-control parameters' lists them")
 
 
 def delivery_options(points: bool = True) -> Parser:
@@ -91,12 +92,12 @@ def delivery_options(points: bool = True) -> Parser:
     group = options.add_argument_group("delivery of the commands")
     numbers(
         group,
-        ("command-period", float, None, "S", "time from one command to the next (one sample period)"),
-        ("command-jitter", float, None, "S", "a command is late by between 0 and twice this time (0)"),
+        ("command-period", float, None, "S", "time [s] from one command to the next (one sample period)"),
+        ("command-jitter", float, None, "S", "mean delay [s]; a command is late by up to twice this (0)"),
         ("command-drift", float, None, "PPM", "drift of the upper level's clock [ppm] (0)"),
     )
     if points:
-        text = "the command is known ahead: points of a trajectory, with rate and acceleration"
+        text = "the command comes with its rate and acceleration, as points of a trajectory"
         group.add_argument("--preview", action="store_true", help=text)
     return options
 
@@ -107,7 +108,7 @@ def add_commands(commands: Any) -> None:
         "simulate",
         parents=[setup_options(log="; or from a bag or log"), delivery_options()],
         help="run one controller on one valve with one command",
-        description="Run one controller on one simulated valve; print the indices I1-I5 of the paper.",
+        description="Run one controller on one simulated valve; print errors [V], rms voltage [V], chatter.",
     )
     law_option(simulate)
     bag_options(simulate.add_argument_group("command from a bag, or with --map from a log"))
@@ -121,8 +122,9 @@ def add_commands(commands: Any) -> None:
     )
     output_group(compare, figure=FIGURE)
     compare.set_defaults(run=_compare)
-    parameters = commands.add_parser("parameters", help="list parameters with unit, range and meaning")
-    parameters.add_argument("match", nargs="?", default="", help="only names that contain this")
+    text = "list parameters with unit, range and meaning"
+    parameters = commands.add_parser("parameters", help=text, description=PARAMETERS)
+    parameters.add_argument("match", nargs="?", default="", metavar="WORD", help="part of the names")
     parameters.set_defaults(run=_parameters, json=None)
 
 
@@ -160,11 +162,16 @@ def _recorded(arguments: argparse.Namespace) -> tuple[dict[str, Values], Any]:
     return settings, recorded_command.command_of(valve, signals, settings["controller"])
 
 
-def _command(arguments: argparse.Namespace, values: Values) -> Any:
+def _command(arguments: argparse.Namespace, settings: Mapping[str, Values]) -> Any:
+    values, limit = settings["command_source"], number(settings["controller"], "command_limit")
     if values["scenario"] == "array" and arguments.duration is None:
-        return arrays.read(str(values["command_file"]))
-    build.check_memory(number(values, "duration") / number(values, "sample_period"))
-    return build.commands(values)
+        command = arrays.read(str(values["command_file"]))
+    else:
+        build.check_memory(number(values, "duration") / number(values, "sample_period"))
+        command = build.commands(values)
+    if (most := np.max(np.abs(command))) > limit:
+        tell_notes([f"the command reaches {most:g} V; command_limit cuts it at {limit:g} V"])
+    return command
 
 
 def delivery_of(arguments: argparse.Namespace, values: Values) -> delivery.Delivery | None:
@@ -256,7 +263,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
     else:
         refuse(arguments, WITH_BAG, "simulate without a bag")
         settings = settings_of(arguments)
-        command = _command(arguments, settings["command_source"])
+        command = _command(arguments, settings)
     arguments.settings, run = settings, _run(arguments, settings, command)
     if arguments.json != "-":
         print(HEADER)
@@ -285,7 +292,7 @@ def _compare(arguments: argparse.Namespace) -> None:
     settings = settings_of(arguments)
     if any(text.partition("=")[0].strip() == "controller" for text in arguments.set):
         raise ParameterError("compare runs every controller, so it takes no --set controller")
-    command, runs = _command(arguments, settings["command_source"]), []
+    command, runs = _command(arguments, settings), []
     for law in LAWS:
         own = {**settings_of(arguments, law)["controller"], "controller": law}
         runs.append(_run(arguments, {**settings, "controller": own}, command))

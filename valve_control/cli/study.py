@@ -8,21 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import interrupts
-from valve_control.cli.common import (
-    THREADS,
-    deliver,
-    law_option,
-    numbers,
-    output_group,
-    progress,
-    refuse,
-    repeated,
-    say,
-    tell_notes,
-    within,
-    write_json,
-    wrote,
-)
+from valve_control.cli import common
 from valve_control.cli.simulate import settings_of, setup_options, title_of
 from valve_control.control.commands import arrays
 from valve_control.control.laws.registry import LAWS
@@ -37,7 +23,7 @@ LIMIT = (
     "a loop with a larger error [V] in the last two seconds counts as unstable (0.15; if the command moves "
     "then, plus twice the tracking error of the valve without variations)"
 )
-FIX = ("--fix", "NAME", "quantity of the box that stays constant")
+FIX = ("--fix", "NAME", "quantity of the box that keeps its value ('study --box' lists them)")
 
 
 def add_commands(commands: Any) -> None:
@@ -50,21 +36,21 @@ def add_commands(commands: Any) -> None:
         "forces, drifts, noise, dead times and sample periods. Ctrl-C stops it; the same command resumes "
         "it.",
     )
-    law_option(study)
+    common.law_option(study)
     group = study.add_argument_group("study")
-    repeated(group, *FIX)
-    group.add_argument("--box", action="store_true", help="list the box and exit")
-    numbers(
+    common.repeated(group, *FIX)
+    group.add_argument("--box", action="store_true", help="list the quantities and ranges of the box; exit")
+    common.numbers(
         group,
         ("valves", int, 100_000, "N", "number of valves (%(default)s)"),
         ("study-seed", int, 1, "N", "seed of the draw (%(default)s)"),
-        ("limit", within(1e-6, 1e6), None, "V", LIMIT),
+        ("limit", common.within(1e-6, 1e6), None, "V", LIMIT),
         ("replay", int, None, "N", "write only valve number N, to --output"),
-        THREADS,
+        common.THREADS,
     )
     group.add_argument("--folder", help="folder of the results (out/study-…, one for each study)")
     valve = "with --replay: that valve as ROS 2 parameter file"
-    output_group(study, figure="distributions as PNG or SVG", output=valve)
+    common.output_group(study, figure="distributions as PNG or SVG", output=valve)
     study.set_defaults(run=_study)
 
 
@@ -75,10 +61,10 @@ def _study(arguments: argparse.Namespace) -> int:
     chosen = _chosen(arguments)
     if arguments.box:
         for q in chosen.box:
-            say(arguments, f"{q.name:24}{q.low:10g} … {q.high:<10g}{q.unit}")
-        say(arguments, f"{'sample_period':24}{', '.join(f'{p:g}' for p in chosen.periods):>24} s")
+            common.say(arguments, f"{q.name:24}{q.low:10g} … {q.high:<10g}{q.unit}")
+        common.say(arguments, f"{'sample_period':24}{', '.join(f'{p:g}' for p in chosen.periods):>24} s")
         box = [{"name": q.name, "low": q.low, "high": q.high, "unit": q.unit} for q in chosen.box]
-        write_json(arguments, {"box": box, "sample_periods_s": chosen.periods})
+        common.write_json(arguments, {"box": box, "sample_periods_s": chosen.periods})
         return 0
     if arguments.replay is not None:
         _write_valve(arguments, chosen)
@@ -86,7 +72,7 @@ def _study(arguments: argparse.Namespace) -> int:
     folder = Path(arguments.folder or Path("out", robustness.folder_name(chosen)))
     limit = robustness.fitting_limit(chosen) if arguments.limit is None else arguments.limit
     stored: list[int] = []  # valves from before
-    with progress(chosen.valves, "valves") as bar:
+    with common.progress(chosen.valves, "valves") as bar:
 
         def count(valves: int) -> None:
             if not stored:
@@ -114,8 +100,8 @@ def _study(arguments: argparse.Namespace) -> int:
         title = title_of(arguments, result["controller"], chosen.settings)
         title += f", {len(found.period)} valves around it"
         robustness.draw_errors(Path(arguments.figure), found, title)
-        wrote(arguments, arguments.figure)
-    write_json(arguments, result)
+        common.wrote(arguments, arguments.figure)
+    common.write_json(arguments, result)
     return 0
 
 
@@ -123,7 +109,7 @@ def _check(arguments: argparse.Namespace) -> None:
     if (arguments.output is None) != (arguments.replay is None):
         raise ParameterError("--replay and --output write the parameters of one valve; give both")
     if arguments.replay is not None:
-        refuse(arguments, ["figure"], "study --replay")
+        common.refuse(arguments, ["figure"], "study --replay")
     if arguments.seed is not None:
         raise ParameterError("--seed says nothing here: each valve has a seed of its own; see --study-seed")
 
@@ -139,7 +125,7 @@ def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
         overridden = [q.name for q in varied if q.name in files.load(path)["valve_simulator"]]
         if overridden:
             names = ", ".join(overridden)
-            tell_notes([f"{task} varies {names}, whatever {path} says; --fix NAME keeps one"])
+            common.tell_notes([f"{task} varies {names}, whatever {path} says; --fix NAME keeps one"])
     return varied
 
 
@@ -195,5 +181,5 @@ def _write_valve(arguments: argparse.Namespace, chosen: "Study") -> None:
 
     settings = robustness.settings_of_number(chosen, arguments.replay)
     comment = f"valve {arguments.replay} of a study with seed {chosen.seed}"
-    deliver(arguments, arguments.output, ros_file.as_yaml(settings, [comment]))
-    write_json(arguments, {"number": arguments.replay, **settings})
+    common.deliver(arguments, arguments.output, ros_file.as_yaml(settings, [comment]))
+    common.write_json(arguments, {"number": arguments.replay, **settings})

@@ -10,23 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from valve_control.cli.common import (
-    BUDGET,
-    CHATTER,
-    THREADS,
-    VALVES,
-    Row,
-    check_outputs,
-    deliver,
-    numbers,
-    output_group,
-    progress,
-    refuse,
-    repeated,
-    tell_notes,
-    within,
-    write_json,
-)
+from valve_control.cli import common
 from valve_control.cli.simulate import delivery_of, delivery_options, settings_of, setup_options
 from valve_control.cli.study import FIX, box_of
 from valve_control.control.commands import arrays
@@ -44,18 +28,18 @@ FAILED = 1  # exit status if gains of a law are not accepted
 
 def _limit(off: float, least: float, most: float, unit: float = 1.0) -> Callable[[str], float]:
     """Type of a limit in such a ``unit``; ``off``: its value for "none"."""
-    number = within(least, most)
+    number = common.within(least, most)
     return lambda text: off if text == "none" else unit * number(text)
 
 
-LIMITS: dict[str, Row] = {  # on every valve of the box, by fields of TuningLimits
+LIMITS: dict[str, common.Row] = {  # on every valve of the box, by fields of TuningLimits
     "gain_db": ("gain-margin", _limit(0.0, 0.0, 60.0), "3", "DB", "least gain margin, up and down"),
     "phase_deg": ("phase-margin", _limit(0.0, 0.0, 120.0), "20", "DEG", "least phase margin"),
     "delay_s": ("delay-margin", _limit(0.0, 0.0, 1.0), "0.0005", "S", "least delay margin"),
-    "pause_s": ("pause", _limit(0.0, 0.0, 0.05), "0.01", "S", "pause of the command that is borne"),
+    "pause_s": ("pause", _limit(0.0, 0.0, 0.05), "0.01", "S", "longest harmless pause of the command"),
     "sensitivity_db": ("peak", _limit(math.inf, 0.1, 1e3), "12", "DB", "largest peak of the sensitivity"),
-    "swing": ("swing", _limit(math.inf, 0.001, 1e3), "0.04", "V", "largest swing that friction sustains"),
-    "saturated": ("saturation", _limit(math.inf, 0.0, 1.0), "0.02", "X", "largest share of saturation"),
+    "swing": ("swing", _limit(math.inf, 0.001, 1e3), "0.04", "V", "largest swing about rest by friction"),
+    "saturated": ("saturation", _limit(math.inf, 0.0, 1.0), "0.02", "X", "largest share of samples at u_max"),
     "overshoot": ("overshoot", _limit(math.inf, 0.0, 1e3, 0.01), "5", "%", "largest overshoot of steps"),
 }
 
@@ -75,24 +59,24 @@ def add_commands(commands: Any) -> None:
         "--controller", metavar="LAW,…", help="laws to tune, or all (default: that of the parameter files)"
     )
     group = tune.add_argument_group("objective")
-    text = "limit of the mean chatter (%(default)s); where no gains keep it, the quieter ones are taken"
-    numbers(group, ("max-chatter", within(1e-6, 1e3), CHATTER, "C_U", text))
+    text = "limit of the mean chatter c_u (%(default)s); if no gains keep it, quieter ones are taken"
+    common.numbers(group, ("max-chatter", common.within(1e-6, 1e3), common.CHATTER, "C_U", text))
     group.add_argument(
-        "--preview", action="store_true", help="commands are known ahead (topic spool_trajectory)"
+        "--preview", action="store_true", help="commands come with derivatives (topic spool_trajectory)"
     )
-    group = tune.add_argument_group("limits on every valve of the box", "none switches a limit off.")
-    numbers(group, *((*row[:4], f"{row[4]} (%(default)s)") for row in LIMITS.values()))
+    group = tune.add_argument_group("limits on every valve of the box", "The word none switches a limit off.")
+    common.numbers(group, *((*row[:4], f"{row[4]} (%(default)s)") for row in LIMITS.values()))
     group = tune.add_argument_group("search")
-    text = "number of sets of gains of each law, for the PID of each form (%(default)s)"
-    numbers(
+    text = "sets of gains that are tried for each law, of a PID for each form (%(default)s)"
+    common.numbers(
         group,
-        ("valves", VALVES, 8, "N", "number of valves in the search (%(default)s)"),
-        ("unseen", VALVES, 64, "N", "number of valves in the verification (%(default)s)"),
-        ("budget", BUDGET, 4000, "N", text),
-        THREADS,
+        ("valves", common.VALVES, 8, "N", "number of valves in the search (%(default)s)"),
+        ("unseen", common.VALVES, 64, "N", "number of valves in the verification (%(default)s)"),
+        ("budget", common.BUDGET, 4000, "N", text),
+        common.THREADS,
     )
-    repeated(group, *FIX)
-    output_group(tune, output="ROS 2 parameter file; with several laws NAME_LAW.yaml for each")
+    common.repeated(group, *FIX)
+    common.output_group(tune, output="ROS 2 parameter file; with several laws NAME_LAW.yaml for each")
     tune.set_defaults(run=_tune)
 
 
@@ -100,12 +84,12 @@ def _tune(arguments: argparse.Namespace) -> int:
     from valve_control.design.tuning import request, tuner
 
     if arguments.preview:
-        refuse(arguments, DELIVERY, "tune --preview")
+        common.refuse(arguments, DELIVERY, "tune --preview")
     task = _task(arguments)
     paths = _paths(arguments.output, [law.name for law in task.laws])
-    check_outputs(arguments, *(set(paths.values()) - {arguments.output}))
-    tell_notes(task.notes)
-    with progress(sum(request.budgets(task, arguments.budget)), "sets of gains") as bar:
+    common.check_outputs(arguments, *(set(paths.values()) - {arguments.output}))
+    common.tell_notes(task.notes)
+    with common.progress(sum(request.budgets(task, arguments.budget)), "sets of gains") as bar:
 
         def show(done: int, law: str) -> None:
             bar.set_postfix_str(law, refresh=False)
@@ -129,10 +113,10 @@ def _tune(arguments: argparse.Namespace) -> int:
     for name, one in holding.items():
         text = _yaml(arguments, task.seen.values, one)
         if name in written:
-            deliver(arguments, written[name], text)
+            common.deliver(arguments, written[name], text)
         elif arguments.json is None:
             print(text, end="")
-    write_json(arguments, result)
+    common.write_json(arguments, result)
     return 0 if len(holding) == len(task.laws) else FAILED
 
 
@@ -175,7 +159,7 @@ def _motions(arguments: argparse.Namespace, settings: Mapping[str, Values]) -> l
     if not arguments.command:
         source = settings["command_source"]
         return [request.motion_of(word(source, "scenario"), build.commands(source), settings)]
-    refuse(arguments, ["scenario"], "tune --command")
+    common.refuse(arguments, ["scenario"], "tune --command")
     return [request.motion_of(Path(file).name, arrays.read(file), settings) for file in arguments.command]
 
 

@@ -221,9 +221,10 @@ def explained(what: str) -> Iterator[None]:
 
 def in_words(error: Exception) -> str:
     """The kind of ``error``, its text and the line that raised it."""
-    frame = traceback.extract_tb(error.__traceback__)[-1]
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith("<frozen ")]
     text = f": {error}" if str(error) else ""
-    return f"{type(error).__name__}{text} ({Path(frame.filename).name}, line {frame.lineno})"
+    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+    return f"{type(error).__name__}{text}{'' if isinstance(error, SyntaxError) else place}"
 
 
 def _while_compiling(error: Exception) -> bool:

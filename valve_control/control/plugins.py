@@ -6,10 +6,11 @@ A law, a plant and a driver are each a NamedTuple with name, parameters and pack
 """
 
 import math
-import traceback
 from collections.abc import Callable, Iterable
 from importlib.metadata import entry_points
 from typing import Any, TypeVar
+
+from valve_control.control.compiling import in_words
 
 PACKAGE = "valve_control"
 
@@ -34,9 +35,7 @@ def add(
         try:
             entry: Any = accepted(point.load(), known)
         except Exception as error:  # its import, and its first step, may raise any
-            at = traceback.extract_tb(error.__traceback__)[-1]
-            raised = f"{type(error).__name__}: {error} ({at.filename.rpartition('/')[2]}, line {at.lineno})"
-            reason = str(error) if isinstance(error, PluginError) else raised
+            reason = str(error) if isinstance(error, PluginError) else in_words(error)
             left_out[point.name] = f"the {kind} '{point.name}' of the package {package} is left out: {reason}"
         else:
             known[entry.name] = entry._replace(package=package)

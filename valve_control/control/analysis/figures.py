@@ -12,7 +12,7 @@ import numpy as np
 from valve_control import outputs
 from valve_control.arrays import Floats
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#882255", "#44AA99")
 _LAWS = ("dcarc", "pid", "oarc", "arc", "compensator", "open_loop")
 LAW_COLOURS = dict(zip(_LAWS, (*COLOURS[:5], "#8C8C8C"), strict=True))
 FAR = 6.0  # times the least error of several runs, beyond which an error would hide the others
@@ -59,9 +59,11 @@ def draw_traces(paths: Sequence[Path], traces: Mapping[str, Trace], title: str, 
     stroke = float(np.ptp(first.command))
     errors = {label: trace.position - trace.command for label, trace in traces.items()}
     sizes = {label: float(np.sqrt(np.nanmean(np.square(error)))) for label, error in errors.items()}
+    others = sorted(traces.keys() - LAW_COLOURS.keys())  # laws of other packages
+    colours = LAW_COLOURS | {label: COLOURS[5 + i % 3] for i, label in enumerate(others)}
     top, middle, bottom = list[Line](), list[Line](), list[Line]()
     for label, trace in traces.items():
-        colour, time = LAW_COLOURS.get(label, COLOURS[-1]), trace.time
+        colour, time = colours[label], trace.time
         error, rms = errors[label], sizes[label]
         label += f": {float(f'{1e3 * rms:.3g}'):g} mV rms"
         label += f", {100.0 * rms / stroke:.2g} % of stroke" if stroke > 0.0 else ""

@@ -8,7 +8,7 @@ LONGEST = 600  # characters
 class BagError(ValueError):
     """Says why a bag, or a part of it, cannot be used; the message is one sentence for the user.
 
-    What it quotes from a damaged bag may be anything: it is brought to one line of bounded length.
+    Text of a damaged bag, which may be anything, is cut to one line of bounded length.
     """
 
     def __str__(self) -> str:
