@@ -33,7 +33,7 @@ from valve_control.control.linear import margins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
 from valve_control.control.plant import registry
-from valve_control.control.plant.models import scale_of
+from valve_control.control.plant.transfer_functions import scale_of
 from valve_control.control.simulation import batch
 from valve_control.control.simulation.robustness import Quantity
 from valve_control.design.commissioning import model, sequence

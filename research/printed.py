@@ -14,7 +14,7 @@ import numpy.typing as npt
 from research import running
 from valve_control.cli.common import write_json
 from valve_control.control.laws import design
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.design.identification import bode
 from valve_control.design.identification.bode import Corners
 from valve_control.design.identification.result import hertz, polynomial

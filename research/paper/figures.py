@@ -12,7 +12,7 @@ from research.paper.runs import BANDWIDTH, CLOSED_AMPLITUDE, FEEDBACK, OPEN_AMPL
 from research.paper.traces import Trace
 from valve_control.control.analysis.figures import COLOURS, LAW_COLOURS, Line, Plot
 from valve_control.control.laws import design
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.design.identification import bode
 from valve_control.design.identification.bode_fit import hold
 from valve_control.design.identification.response import Response, find_segments, stepped

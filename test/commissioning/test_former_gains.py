@@ -9,7 +9,7 @@ import pytest
 from supervised import Steps, SupervisedValve
 
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.design.commissioning import gains, plant, sequence
 from valve_control.design.commissioning.bench import Plan, Record, SafetyLimits, Swings
 from valve_control.design.commissioning.evaluation import Friction, Rest

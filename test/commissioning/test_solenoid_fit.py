@@ -18,8 +18,8 @@ from valve_control.control.linear import linear_loop, margins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
-from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.design.commissioning import gains, model, plant, sequence
 from valve_control.design.commissioning.bench import Plan, SafetyLimits
 from valve_control.design.commissioning.evaluation import Friction, Rest
@@ -261,7 +261,7 @@ def loop_poles(values, around, delay):
     """Of dcarc with ``values`` ``around`` this model, whose readings are ``delay`` periods late."""
     law = LAWS["dcarc"]
     params = law.build(updated(CONTROLLER, defaults(CONTROLLER), values))
-    late = valve.design(around, PERIOD, 10.0, 1.0, valve.FREE, IDEAL._replace(delay=delay))
+    late = valve.design(around, PERIOD, 10.0, 1.0, valve.NO_DISTURBANCE, IDEAL._replace(delay=delay))
     return linear_loop.dominant_poles(linear_loop.linear_law(law, params), linear_loop.linear_valves([late]))
 
 

@@ -10,7 +10,7 @@ from supervised import SupervisedValve, driven, fitted
 
 from benchmarks import solenoid
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.control.simulation import offline
 from valve_control.design.commissioning import evaluation, plant
 from valve_control.design.commissioning.bench import Record, SafetyLimits

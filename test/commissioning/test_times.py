@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from valve_control.control.analysis import timing
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.design.commissioning import plant
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.evaluation import Friction, Rest

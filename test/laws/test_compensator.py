@@ -12,7 +12,7 @@ import scipy.signal
 
 from valve_control.control.laws import biquads, design, oarc
 from valve_control.control.laws.signals import Start
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 
 def bandwidth(*parts):

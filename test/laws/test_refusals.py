@@ -8,7 +8,7 @@ import pytest
 from valve_control.control.laws import design
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.parameter import ParameterError
 
 DESIGNED = {"controller": "compensator", "compensator__design": "designed"}

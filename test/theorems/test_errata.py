@@ -19,7 +19,7 @@ from valve_control.control.laws.projection import Theta
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import linear_loop
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, SECOND_ORDER
 from valve_control.parameter import defaults, updated
 
 TH = sp.symbols("theta1:5")

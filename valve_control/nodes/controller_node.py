@@ -28,7 +28,7 @@ from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.supervision import rate
 from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.journal import OBSERVED, TYPES, Journal
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (

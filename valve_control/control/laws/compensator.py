@@ -5,7 +5,7 @@
 from valve_control.control.laws import biquads, design
 from valve_control.control.laws.free import Free
 from valve_control.control.laws.law import Law
-from valve_control.control.plant import models
+from valve_control.control.plant import transfer_functions
 from valve_control.parameter import Parameter, Table, Values, number, word
 
 PRINTED = {
@@ -30,7 +30,7 @@ PARAMETERS: Table = (
     Parameter("compensator.bandwidth", 25.0, "Hz", "-3 dB bandwidth of a designed compensator", 0.1, 1e4),
     Parameter("compensator.order", 0, "", "poles of the Bessel filter; 0: one more than necessary", 0, 6),
     Parameter("compensator.cancel_zeros", True, "", "whether it also cancels stable zeros; (13) does not"),
-    *models.custom_parameters("compensator."),
+    *transfer_functions.custom_parameters("compensator."),
 )
 
 
@@ -38,7 +38,7 @@ def build(values: Values) -> biquads.Params:
     """The compensator's Params from the controller's values. Raises ParameterError."""
     chosen, period = word(values, "compensator.design"), number(values, "sample_period")
     transfer_function = PRINTED.get(chosen) or design.pole_zero_compensator(
-        models.chosen(values, "compensator.model", "compensator."),
+        transfer_functions.chosen(values, "compensator.model", "compensator."),
         number(values, "compensator.bandwidth"),
         bool(values["compensator.cancel_zeros"]),
         int(number(values, "compensator.order")),

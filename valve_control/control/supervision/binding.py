@@ -11,11 +11,11 @@ from valve_control.control.compiling import bind
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.projection import Theta
 from valve_control.control.supervision import bumpless_transfer, control_step
-from valve_control.control.supervision.record import Memory
+from valve_control.control.supervision.memory import Memory
 from valve_control.control.supervision.watch_table import REPORTING
 from valve_control.parameter import Values
 
-TOLD = {watch.slot for watch in REPORTING} | {  # of the memory, what C leaves out
+NOT_IN_C = {watch.slot for watch in REPORTING} | {  # of the memory
     *("samples", "sequence", "pace", "kept", "saturated_for", "said", "name", "changed", "counts")
 }
 
@@ -53,7 +53,7 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
     adapts = law.adapts and {"theta_initial", "theta_min", "theta_max"} <= hints.keys()
     params = _record(control_step.Params, {"law": module.Params, "line": type(line)}, ("watches",))
     state = module.State | None
-    memory = _record(Memory, {"law": state, "former": state, "proven": state}, TOLD)
+    memory = _record(Memory, {"law": state, "former": state, "proven": state}, NOT_IN_C)
     memory.__name__, memory.changes = "State", True
     others = {
         "Params": params,

@@ -5,7 +5,7 @@
 import itertools
 from collections.abc import Sequence
 
-from valve_control.control.supervision.record import Memory, clear, report
+from valve_control.control.supervision.memory import Memory, clear, report
 
 ASSUMPTIONS = {
     "lyapunov": "V2 is above its guaranteed bound: the valve has left the assumed parameter ranges or "

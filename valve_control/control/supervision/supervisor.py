@@ -9,7 +9,7 @@ degraded  the law has the valve, but something is reported: a silent or refused 
           long saturation, a limit cycle, a broken assumption, a second publisher;
 safe      0 V: the LVDT is implausible, the law gave NaN or infinity, or even cycles reach ±u_max.
 
-The steps are in control_step.py, functions on one memory (record.py), from which exported C is made too;
+The steps are in control_step.py, functions on one memory (memory.py), from which exported C is made too;
 binding.py puts the functions of the law into them. Here is what only a node has: other laws and parameters,
 the period of the readings, counters and telemetry.
 
@@ -38,7 +38,7 @@ from valve_control.control.supervision import (
     trajectory,
 )
 from valve_control.control.supervision.journal import OBSERVED, TYPES, Event
-from valve_control.control.supervision.record import (
+from valve_control.control.supervision.memory import (
     HEAD,
     Memory,
     Mode,

@@ -14,7 +14,7 @@ from valve_control.control.laws import dcarc
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
-from valve_control.control.plant.models import scale_of
+from valve_control.control.plant.transfer_functions import scale_of
 from valve_control.control.simulation import offline
 from valve_control.design.commissioning import model, plant
 from valve_control.design.commissioning.bench import Fault, Plan, Progress, Record
