@@ -133,7 +133,7 @@ def amplified(p: Params, voltage: float) -> float:
 
 
 @node_only
-def hand_out(voltage: float) -> None:
+def give_voltage(voltage: float) -> None:
     """Place of what is done with the voltage [V] as soon as it is certain."""
 
 
@@ -685,7 +685,7 @@ def hold(p: Params, memory: Memory, gap: int, reading: float) -> None:
 
 
 def control(p: Params, memory: Memory, reading: float) -> bool:
-    """Compute one step of the law and hand out its voltage; False, and none, if it is not finite."""
+    """Compute one step of the law and give its voltage; False, and none, if it is not finite."""
     law = p.law
     if memory.trust.doubt.times != 0.0 and p.lvdt.comparison is not None:
         law = law._replace(u_max=min(law.u_max, p.probation))
@@ -702,7 +702,7 @@ def control(p: Params, memory: Memory, reading: float) -> bool:
     if not are_finite(voltage, terms):
         return False
     memory.voltage = voltage
-    hand_out(amplified(p, voltage))
+    give_voltage(amplified(p, voltage))
     memory.law = after
     observe(memory, terms, voltage)
     if memory.fading:

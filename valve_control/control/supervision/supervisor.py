@@ -141,7 +141,7 @@ class Supervisor:
         another_curve = bool(self._form) and line != self._form[2]
         same_reference = before is not None and before.reshapes(former)
         if law is not before or line != self._form[2]:
-            own = {"hand_out": self._hand_out, "observe": self._observe}
+            own = {"give_voltage": self._give_once, "observe": self._observe}
             self._steps = binding.with_places({**binding.places_of(law, line), **own})
             self._sample = self._steps.sample
         self._descriptor = law
@@ -283,11 +283,11 @@ class Supervisor:
             if pace.level == 1:
                 report(memory, "lvdt_rate", rate.text(p.lvdt.pace, pace))
         voltage = self._sample(p, memory, reading, lost, elapsed, pace.level == 2)  # that of control_step.py
-        self._hand_out(voltage)
+        self._give_once(voltage)
         self._note(Event.READING, reading, sequence, elapsed, voltage)
         return voltage
 
-    def _hand_out(self, voltage: float) -> None:
+    def _give_once(self, voltage: float) -> None:
         give, self._give = self._give, unused
         give(voltage)
 
