@@ -145,7 +145,7 @@ class Controller(Managed):
         self._trajectories = PolledSubscription(self, JointTrajectoryPoint, "spool_trajectory", qos)
         self._readings = self._source(qos)
         sources = (self._commands, self._trajectories)
-        self._lockstep = Lockstep(self, sources, self._pass_on, self._acquainted) if self._in_lockstep else None
+        self._lockstep = Lockstep(self, sources, self._relay, self._acquainted) if self._in_lockstep else None
 
     def _source(self, qos: QoSProfile) -> NumberSubscription:
         """Readings of the LVDT with their numbers."""
@@ -253,8 +253,8 @@ class Controller(Managed):
         if self._catching_up:
             self._give_voltage(self._supervisor.skip(reading, number, self._lap(began)))
         else:
-            elapsed = self._lap(began)
-            self._supervisor.sample(reading, number, 0.0 if self._in_lockstep else elapsed, self._give_voltage)
+            lap = self._lap(began)
+            self._supervisor.sample(reading, number, 0.0 if self._in_lockstep else lap, self._give_voltage)
         ended = time.monotonic()
         latency = (self._published - info["source_timestamp"]) * 1e-9
         self._timing.note(began, ended, latency, self._period)
@@ -293,9 +293,9 @@ class Controller(Managed):
         """Pass waiting commands to the supervisor."""
         for source in (self._commands, self._trajectories):
             for message, info in source.take():
-                self._pass_on(message, info)
+                self._relay(message, info)
 
-    def _pass_on(self, message: Any, info: Mapping[str, Any] = {}) -> None:  # noqa: B006
+    def _relay(self, message: Any, info: Mapping[str, Any] = {}) -> None:  # noqa: B006
         """Pass on a command or a point.
 
         Times mean nothing in lockstep, without ``info``, and where readings may come at any pace.

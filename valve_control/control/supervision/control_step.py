@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps one valve from reading to voltage: the supervisor's machine, for nodes, replay and exported C.
 
-All functions work on one ``Memory``, which they change, and on ``Params``, which they do not: ``memory.law`` is
-the state of the law, ``p.law`` has its parameters, and so on for each part. binding.py puts the functions of
-a law, and of who runs the machine, in the places that are kept for them. The translator of export/ makes C of
-the same functions; it leaves out the calls of those that are marked as ``node_only``.
+All functions work on one ``Memory``, which they change, and on ``Params``, which they do not: of each part
+``memory`` has the state and ``p`` the parameters. binding.py puts the functions of a law, and of who runs the
+machine, in the places that are kept for them. The translator of export/ makes C of the same functions; it
+leaves out the calls of those that are marked as ``node_only``.
 """
 
 import math
