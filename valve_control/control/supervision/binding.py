@@ -62,27 +62,27 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
         "law_resumed": control_step.with_estimates if adapts else control_step.law_resumed,
         "watch_block": control_step.unwatched,
     }
-    made = with_places({**places_of(law, line), **others})
+    namespace = with_places({**places_of(law, line), **others})
     kinds = {control_step.Params: params, Memory: memory, Any | None: state}
-    for function in vars(made).values():
-        ours = getattr(function, "__module__", "") == control_step.__name__
-        if ours and isinstance(function, types.FunctionType):
-            own = function.__annotations__
-            own.update({argument: kinds.get(kind, kind) for argument, kind in own.items()})
+    for function in vars(namespace).values():
+        is_step = getattr(function, "__module__", "") == control_step.__name__
+        if is_step and isinstance(function, types.FunctionType):
+            annotations = function.__annotations__
+            annotations.update({argument: kinds.get(kind, kind) for argument, kind in annotations.items()})
 
     def designed(values: Values, law: Any, answered: bool = True) -> Any:
         whole = control_step.design(values, law, answered)
         return params(*(getattr(whole, name) for name in params._fields))
 
-    made.design = designed
-    return made
+    namespace.design = designed
+    return namespace
 
 
-def _record(template: Any, given: dict[str, Any], without: Collection[str] = ()) -> Any:
+def _record(template: Any, kinds: dict[str, Any], without: Collection[str] = ()) -> Any:
     """A NamedTuple with the fields of ``template``, other types of some, and ``without`` others."""
-    hints = {n: h for n, h in {**get_type_hints(template), **given}.items() if n not in without}
-    made: Any = collections.namedtuple(template.__name__, list(hints))  # type: ignore[misc]
-    made.__annotations__, made.__doc__ = hints, template.__doc__
+    hints = {n: h for n, h in {**get_type_hints(template), **kinds}.items() if n not in without}
+    record: Any = collections.namedtuple(template.__name__, list(hints))  # type: ignore[misc]
+    record.__annotations__, record.__doc__ = hints, template.__doc__
     comments = getattr(template, "template", template)  # of the fields
-    setattr(made, "template", comments)  # noqa: B010
-    return made
+    setattr(record, "template", comments)  # noqa: B010
+    return record

@@ -141,8 +141,8 @@ class Supervisor:
         another_curve = bool(self._form) and line != self._form[2]
         same_reference = before is not None and before.reshapes(former)
         if law is not before or line != self._form[2]:
-            own = {"give_voltage": self._give_once, "observe": self._observe}
-            self._steps = binding.with_places({**binding.places_of(law, line), **own})
+            receivers = {"give_voltage": self._give_once, "observe": self._observe}
+            self._steps = binding.with_places({**binding.places_of(law, line), **receivers})
             self._sample = self._steps.sample
         self._descriptor = law
         self._form = form
