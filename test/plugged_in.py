@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from made import Run, write
 
-from valve_control.control.laws.registry import LAWS, REFUSED
+from valve_control.control.laws.registry import LAWS, LEFT_OUT
 from valve_control.control.linear import margins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
@@ -31,7 +31,7 @@ def settings(controller="lead", **changes):
 
 
 def test_it_is_one_of_the_laws():
-    assert REFUSED == [] and list(LAWS)[-1] == "lead" and LAWS["lead"].package == "valve_lead_law"
+    assert LEFT_OUT == {} and list(LAWS)[-1] == "lead" and LAWS["lead"].package == "valve_lead_law"
     assert LAWS["lead"].feedback and not LAWS["lead"].adapts
 
 

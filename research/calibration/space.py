@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from valve_control.arrays import Floats
-from valve_control.control.laws.registry import LAWS
+from valve_control.control.laws.registry import ADAPTIVE
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import Values, numbers, updated
 
 Settings = dict[str, Values]  # by node
-ADAPTIVE = tuple(law.name for law in LAWS.values() if law.estimates_valve)
 
 
 class Target(NamedTuple):

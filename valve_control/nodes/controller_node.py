@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control import outputs, parameter
-from valve_control.control.laws.registry import LAWS, REFUSED
+from valve_control.control.laws.registry import LAWS, LEFT_OUT
 from valve_control.control.parameters import arguments, build, ros_file
 from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.supervision import rate
@@ -166,7 +166,7 @@ class Controller(Managed):
         self._first_pace = None if self._in_lockstep else rate.UNKNOWN
         self._catching_up = False
         self._timing.clear()
-        for sentence in REFUSED:
+        for sentence in LEFT_OUT.values():
             self.get_logger().warning(sentence)
         self.get_logger().info(
             f"{self._supervisor.name} at {1.0 / self._period:g} Hz, waiting for spool_position"

@@ -40,4 +40,4 @@ LAWS: dict[str, Law] = {module.LAW.name: module.LAW for module in BUILT_IN}
 LEFT_OUT = plugins.add(GROUP, "law", accepted, LAWS)  # why, as a sentence
 for _name, _law in LAWS.items():  # the limit of its voltage is behind the curve of linearisation
     LAWS[_name] = _law._replace(build=partial(linearised, _law.build))
-REFUSED = list(LEFT_OUT.values())
+ADAPTIVE = tuple(law.name for law in LAWS.values() if law.estimates_valve)

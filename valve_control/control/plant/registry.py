@@ -40,7 +40,6 @@ def accepted(found: object, taken: dict[str, Plant]) -> Plant:
 
 PLANTS = {plant.name: plant for plant in (linear_valve.PLANT, solenoid_valve.PLANT)}
 LEFT_OUT = plugins.add(GROUP, "plant", accepted, PLANTS)  # why, as a sentence
-REFUSED = list(LEFT_OUT.values())
 CHOICES = {value: plant for plant in PLANTS.values() for value in plant.values}  # of the parameter `valve`
 _OF_PARAMS = {plant.module.Params: plant for plant in PLANTS.values()}
 
