@@ -38,7 +38,7 @@ from valve_control.control.simulation import batch
 from valve_control.control.simulation.robustness import Quantity
 from valve_control.design.commissioning import model, sequence
 from valve_control.design.commissioning.bench import Fault, Plan, SafetyLimits, check
-from valve_control.design.commissioning.plant import EXPLAINED
+from valve_control.design.commissioning.valve_fit import EXPLAINED
 from valve_control.design.tuning import box, checks, limits, search, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
 from valve_control.parameter import ParameterError, Value, Values, defaults, number, updated, word
