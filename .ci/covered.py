@@ -77,7 +77,7 @@ PARTS = {
         *tests("laws", "a-c"),
     ],
     "dcarc": [
-        "test/plant/test_models.py",
+        "test/plant/test_transfer_functions.py",
         "test/plant/test_solenoid.py",
         "test/export/test_watched.py::test_the_inverse_of_a_curve_behind_a_law",
         *tests("laws", "d-z"),
@@ -87,7 +87,7 @@ PARTS = {
         "test/test_plugins.py",
         "test/test_arguments.py",
         "test/test_parameter.py",
-        "test/recordings/test_shadow.py",
+        "test/recordings/test_shadow_replay.py",
     ],
     "controller": [*(f"test/nodes/test_{name}.py" for name in CONTROLLER), *PATIENT],
     "devices": [*(f"test/nodes/test_{name}.py" for name in DEVICES), *PATIENT],

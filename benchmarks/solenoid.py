@@ -33,12 +33,12 @@ from valve_control.control.linear import margins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
 from valve_control.control.plant import registry
-from valve_control.control.plant.models import scale_of
+from valve_control.control.plant.transfer_functions import scale_of
 from valve_control.control.simulation import batch
 from valve_control.control.simulation.robustness import Quantity
 from valve_control.design.commissioning import model, sequence
 from valve_control.design.commissioning.bench import Fault, Plan, SafetyLimits, check
-from valve_control.design.commissioning.plant import EXPLAINED
+from valve_control.design.commissioning.valve_fit import EXPLAINED
 from valve_control.design.tuning import box, checks, limits, search, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
 from valve_control.parameter import ParameterError, Value, Values, defaults, number, updated, word

@@ -10,7 +10,7 @@ from valve_control.control.compiling import compile_function
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import registry
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.control.supervision.trajectory import Motion
 from valve_control.design.commissioning.bench import (

@@ -33,7 +33,7 @@ from valve_control.control.linear import margins
 from valve_control.control.parameters import ros_file
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
-from valve_control.control.plant.valve import FREE
+from valve_control.control.plant.valve import NO_DISTURBANCE
 from valve_control.control.simulation import batch
 from valve_control.design.tuning import checks, trial, tuner
 from valve_control.parameter import Value, defaults, updated, word
@@ -44,7 +44,7 @@ TUNED_ON = {"narrow": 12, "wide": 32}
 SPREAD = (0.7, 1.4), (0.8, 1.25), (0.8, 1.25), (-0.5, 0.5), (0.0, 1e-3)  # of what margins depend on
 MARGINS = trial.USUAL
 NO_MARGINS = trial.TuningLimits(0.0, 0.0, 0.0, 200.0, math.inf, 1.0, 0.0)
-MOST_FRICTION = FREE._replace(coulomb=1.6, presliding=0.04)  # of the box
+MOST_FRICTION = NO_DISTURBANCE._replace(coulomb=1.6, presliding=0.04)  # of the box
 
 
 # What is not tuned of each law.

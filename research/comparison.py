@@ -23,8 +23,8 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
-from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
 from valve_control.control.plant.sensor import IDEAL
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, TransferFunction
 from valve_control.control.simulation import batch, delivery
 from valve_control.parameter import ParameterError, Value, Values, defaults, numbers, updated, word
 
@@ -89,7 +89,7 @@ def valves(count: int, seed: int, wide: bool) -> list[valve.Params]:
         static, presliding = random.uniform(1.0, 1.6), random.uniform(0.01, 0.04)
         flow, offset = random.uniform(-0.5, 0.5, 2)
         poles, zeros, delay = random.uniform(0.8, 1.25), random.uniform(0.8, 1.25), random.uniform(0.0, 1e-3)
-        disturbance = valve.FREE._replace(
+        disturbance = valve.NO_DISTURBANCE._replace(
             coulomb=coulomb,
             static_ratio=static,
             stribeck_velocity=STRIBECK,
@@ -125,7 +125,7 @@ def undisturbed() -> valve.Params:
         1.0,
         1.0,
         0.0,
-        valve.FREE._replace(stribeck_velocity=STRIBECK, velocity_scale=0.02),
+        valve.NO_DISTURBANCE._replace(stribeck_velocity=STRIBECK, velocity_scale=0.02),
     )
 
 

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from research import running
 from valve_control.cli.common import write_json
-from valve_control.control.laws import design
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.laws import compensator_design
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.design.identification import bode
 from valve_control.design.identification.bode import Corners
 from valve_control.design.identification.result import hertz, polynomial
@@ -52,14 +52,14 @@ def printed() -> list[Agreement]:
     return [
         _agreement(
             "(12)",
-            design.PRINTED_SECOND_ORDER,
+            compensator_design.PRINTED_SECOND_ORDER,
             PAPER_SECOND_ORDER,
             np.polymul(pair, [1.0, 250.0]),
             "25 Hz with damping 0.7, and 250 rad/s",
         ),
         _agreement(
             "(13)",
-            design.PRINTED_FOURTH_ORDER,
+            compensator_design.PRINTED_FOURTH_ORDER,
             FOURTH_ORDER,
             np.polymul(double, [1.0, 250.0]),
             "157 rad/s with damping 0.8, twice, and 250 rad/s",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from made import Run, write
 
-from valve_control.control.laws.registry import LAWS, REFUSED
+from valve_control.control.laws.registry import LAWS, LEFT_OUT
 from valve_control.control.linear import margins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
@@ -19,7 +19,7 @@ from valve_control.control.simulation import batch, offline
 from valve_control.design.tuning import search, trial
 from valve_control.export import folder, unit
 from valve_control.parameter import defaults, updated
-from valve_control.recordings import shadow
+from valve_control.recordings import shadow_replay
 from valve_control.recordings.recording import load
 
 COMMAND = 0.5 * np.sin(2.0 * math.pi * 2.0 * np.arange(2000) * 0.001)
@@ -31,7 +31,7 @@ def settings(controller="lead", **changes):
 
 
 def test_it_is_one_of_the_laws():
-    assert REFUSED == [] and list(LAWS)[-1] == "lead" and LAWS["lead"].package == "valve_lead_law"
+    assert LEFT_OUT == {} and list(LAWS)[-1] == "lead" and LAWS["lead"].package == "valve_lead_law"
     assert LAWS["lead"].feedback and not LAWS["lead"].adapts
 
 
@@ -91,6 +91,7 @@ def test_takeovers_to_and_fro_are_bumpless_and_replayed_bit_for_bit(tmp_path, ot
     run.move(200)
     steps = np.abs(np.diff(run.voltages))
     assert steps[399] < 1e-9 and steps[799] < 1e-9  # the first voltage of a law is the last of the other
-    result = shadow.replay(load(write(tmp_path / "bag", run.messages), journals=True).valves["valve"], {})
+    recording = load(write(tmp_path / "bag", run.messages), journals=True)
+    result = shadow_replay.replay(recording.valves["valve"], {})
     assert result.faithful and result.differing == 0 and result.left_out == []
     assert np.array_equal(result.voltage, run.voltages)

@@ -15,7 +15,7 @@ from said import sentences
 from valve_control.control.commands import scenarios
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND
-from valve_control.control.plant.models import FOURTH_ORDER
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER
 from valve_control.design.identification import bode
 from valve_control.parameter import defaults, updated
 

@@ -11,7 +11,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import linear_loop, stability
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant.models import FOURTH_ORDER, faster
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, faster
 from valve_control.parameter import defaults, updated
 
 CONTROL = defaults(CONTROLLER)

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from research.paper.runs import BANDWIDTH, CLOSED_AMPLITUDE, FEEDBACK, OPEN_AMPLITUDE, open_loops
 from research.paper.traces import Trace
 from valve_control.control.analysis.figures import COLOURS, LAW_COLOURS, Line, Plot
-from valve_control.control.laws import design
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.laws import compensator_design
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.design.identification import bode
 from valve_control.design.identification.bode_fit import hold
 from valve_control.design.identification.response import Response, find_segments, stepped
@@ -157,9 +157,9 @@ def figure_3(runs: Mapping[str, Trace], gain: float, u_max: float) -> Figure:
         lines[label] = found.curve()
         notes.append(found.said(label))
     for label, like, transfer in (
-        ("(12) on (3)", "compensator_12", design.PRINTED_SECOND_ORDER),
-        ("(13) on (3)", "compensator_13", design.PRINTED_FOURTH_ORDER),
-        ("ours on (3)", "designed", design.pole_zero_compensator(FOURTH_ORDER, BANDWIDTH)),
+        ("(12) on (3)", "compensator_12", compensator_design.PRINTED_SECOND_ORDER),
+        ("(13) on (3)", "compensator_13", compensator_design.PRINTED_FOURTH_ORDER),
+        ("ours on (3)", "designed", compensator_design.pole_zero_compensator(FOURTH_ORDER, BANDWIDTH)),
     ):
         colours[label] = colours[labels[like]]
         lines[label] = (GRID, _compensated(transfer, GRID), True)

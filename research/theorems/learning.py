@@ -81,7 +81,7 @@ def plants(kind: str, seed: int, count: int) -> list[valve.Params]:
         offset, coulomb = random.uniform(-0.5, 0.5), random.uniform(0.0, 1.6)
         static, presliding = random.uniform(1.0, 1.6), random.uniform(0.01, 0.04)
         rough = kind == "friction"
-        disturbance = valve.FREE._replace(
+        disturbance = valve.NO_DISTURBANCE._replace(
             coulomb=float(coulomb) if rough else 0.0,
             static_ratio=float(static),
             stribeck_velocity=0.017,

@@ -26,7 +26,7 @@ from valve_control.control.laws import dcarc
 from valve_control.control.laws.dcarc_parts import Row
 from valve_control.control.parameters import files, ros_file
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, TransferFunction
 from valve_control.control.plant.valve import realisation
 from valve_control.parameter import Values, defaults, updated
 

@@ -16,7 +16,7 @@ from valve_control.axis import axis_supervisor as supervisor
 from valve_control.axis.axis_parameters import AXIS_CONTROLLER
 from valve_control.axis.course import Goal
 from valve_control.axis.machine import Reading
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 from valve_control.parameter import ParameterError
 
 MS = 1_000_000

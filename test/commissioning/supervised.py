@@ -3,7 +3,7 @@
 """The bench without ROS, with faults on demand, and steps that record."""
 
 from benchmarks import supervised
-from valve_control.design.commissioning import courses, evaluation, plant
+from valve_control.design.commissioning import courses, evaluation, valve_fit
 from valve_control.design.commissioning.bench import Fault
 
 
@@ -66,4 +66,4 @@ def fitted(bench, limits, tell=lambda: None):
     """What commissioning fits to the readings of ``bench``."""
     rest, slow, static, planned, sine = driven(bench, limits)
     _, fits, friction = evaluation.linear(sine, planned, static, rest)
-    return plant.fitted([slow, sine], fits, friction, static.offset, rest, tell)
+    return valve_fit.fitted([slow, sine], fits, friction, static.offset, rest, tell)

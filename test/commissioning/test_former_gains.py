@@ -9,8 +9,8 @@ import pytest
 from supervised import Steps, SupervisedValve
 
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant.models import TransferFunction
-from valve_control.design.commissioning import gains, plant, sequence
+from valve_control.control.plant.transfer_functions import TransferFunction
+from valve_control.design.commissioning import gains, sequence, valve_fit
 from valve_control.design.commissioning.bench import Plan, Record, SafetyLimits, Swings
 from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.tuning.trial import TuningMotion
@@ -21,7 +21,7 @@ PLAN = Plan(LIMITS, "dcarc", 0.25, 20, 4, 4, 1, 1)
 PERIOD = 0.001
 # Of a solenoid valve that was taken for a linear one; the gains of the paper swing at 76 Hz with 4 V there.
 VALVE_OF_IT = TransferFunction((4230.37,), (1.0, 95.0777, 5372.25))
-LATE = plant.Plant(VALVE_OF_IT, Friction(0.94, 1.12), -0.26, 0.00332, 11.0)
+LATE = valve_fit.Plant(VALVE_OF_IT, Friction(0.94, 1.12), -0.26, 0.00332, 11.0)
 TESTS = sequence.Tests(None, None, None, None, None, None)
 WANTED = 0.5 * np.sin(np.arange(2000) * 0.02)
 
@@ -41,7 +41,7 @@ def test_a_kick_after_a_late_voltage_is_the_machine_and_any_other_the_gains():
 
 def judged(before, new, wanted=WANTED, **changes):
     """A verification run of ``new`` parameters that follows its motion, beside those from ``before``."""
-    own = plant.values(LATE, Rest(0.0, 0.0027, 0.0), PERIOD, LIMITS.voltage)
+    own = valve_fit.values(LATE, Rest(0.0, 0.0027, 0.0), PERIOD, LIMITS.voltage)
     valve = updated(VALVE, defaults(VALVE), own)
     made = gains.TunedGains(SimpleNamespace(chatter=0.25), [], valve, new)
     record = Record(PERIOD, wanted, wanted, wanted)
@@ -123,7 +123,7 @@ def test_the_approach_of_a_verification_run_is_not_judged():
     swing = TuningMotion("sine", 0.3 * np.sin(np.arange(400) * 0.05))
     stroke = TuningMotion("strokes", 0.5 * np.sin(np.arange(600) * 0.02) ** 2)
     valve = updated(
-        VALVE, defaults(VALVE), plant.values(LATE, Rest(0.0, 0.0027, 0.0), PERIOD, LIMITS.voltage)
+        VALVE, defaults(VALVE), valve_fit.values(LATE, Rest(0.0, 0.0027, 0.0), PERIOD, LIMITS.voltage)
     )
     made = gains.TunedGains(
         SimpleNamespace(chatter=0.25), [stroke, swing], valve, {"controller": "open_loop"}

@@ -18,12 +18,12 @@ from valve_control.control.linear import linear_loop, margins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import valve
-from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
-from valve_control.design.commissioning import gains, model, plant, sequence
+from valve_control.control.plant.transfer_functions import TransferFunction
+from valve_control.design.commissioning import gains, model, sequence, valve_fit
 from valve_control.design.commissioning.bench import Plan, SafetyLimits
 from valve_control.design.commissioning.evaluation import Friction, Rest
-from valve_control.design.commissioning.plant import Magnet
+from valve_control.design.commissioning.valve_fit import Magnet
 from valve_control.design.identification import first_gains
 from valve_control.design.tuning import designs, limits, trial
 from valve_control.parameter import defaults, updated
@@ -39,11 +39,11 @@ LIMITS = SafetyLimits(4.0, 2.0)
 
 def plant_of(found):
     friction = Friction(found.coulomb, found.static_ratio)
-    return plant.Plant(found.model, friction, found.offset, found.delay, 1.0, found.presliding, found)
+    return valve_fit.Plant(found.model, friction, found.offset, found.delay, 1.0, found.presliding, found)
 
 
 def simulated(found):
-    return plant.params(plant_of(found), PERIOD)
+    return valve_fit.params(plant_of(found), PERIOD)
 
 
 def known(found=TRUE, law="dcarc", sensor_delay=0.0):
@@ -61,19 +61,19 @@ def test_voltages_and_readings_without_noise_are_the_valve():
             3.0 * np.sin(2.0 * np.pi * np.cumsum(np.geomspace(1.0, 60.0, 3000)) * PERIOD),
         ]
     )
-    wanted = plant.positions(simulated(TRUE), voltage)
+    wanted = valve_fit.positions(simulated(TRUE), voltage)
 
     def errors(valve):
-        return 100.0 * (plant.positions(simulated(valve), voltage) - wanted)
+        return 100.0 * (valve_fit.positions(simulated(valve), voltage) - wanted)
 
     begin = TRUE._replace(
         speed=70.0, damping=0.7, coil=0.0025, gain=0.95, sides=0.0, hysteresis=0.1, overlap=0.0, coulomb=0.6,
         presliding=0.03, static_ratio=1.1, offset=0.0, delay=0.0005,
     )  # fmt: skip
     counted = []
-    found = plant.refined(begin, PERIOD, errors, lambda: counted.append(1))
+    found = valve_fit.refined(begin, PERIOD, errors, lambda: counted.append(1))
     assert found == pytest.approx(TRUE, rel=0.03, abs=2e-3)
-    assert len(counted) <= 20 * (2 + len(plant.LOW))  # it has converged long before its bound
+    assert len(counted) <= 20 * (2 + len(valve_fit.LOW))  # it has converged long before its bound
 
 
 def test_dcarc_gets_to_know_the_solenoids():
@@ -93,12 +93,13 @@ def test_the_simulated_valve_is_the_one_that_was_found():
     """Through its parameters, with the dead time at its places."""
     made, _ = known()
     values = updated(
-        VALVE, defaults(VALVE), {**plant.values(made, REST, PERIOD, 10.0, 0.0002), "lvdt.noise": 0.0}
+        VALVE, defaults(VALVE), {**valve_fit.values(made, REST, PERIOD, 10.0, 0.0002), "lvdt.noise": 0.0}
     )
     assert values["lvdt.delay"] == 0.0002 and values["solenoid.dead_time"] == 0.001
     own = build.valve_params({**values, "lvdt.resolution": 0.0})
     voltage = 3.0 * np.sin(np.arange(2000) * 0.02)
-    assert plant.positions(own, voltage) == pytest.approx(plant.positions(simulated(TRUE), voltage), abs=5e-3)
+    wanted = valve_fit.positions(simulated(TRUE), voltage)
+    assert valve_fit.positions(own, voltage) == pytest.approx(wanted, abs=5e-3)
 
 
 @pytest.mark.parametrize(("name", "form"), [("A", "plain"), ("B", "reference")])
@@ -163,7 +164,7 @@ def test_what_a_law_was_told_of_an_earlier_friction_is_forgotten():
     plan = Plan(LIMITS, "dcarc", 0.25, 20, 4, 4, 1, 1)
     before = defaults(CONTROLLER)
     with_friction = gains.task(plan, before, made, knows, REST, 1.0).knowledge
-    linear = plant.Plant(
+    linear = valve_fit.Plant(
         TransferFunction((6964.0,), (1.0, 158.3, 7738.0)), Friction(0.25, 1.0), 0.0, 0.0005, 1.0
     )
     about = model.Known(linear, REST, PERIOD, 10.0, "dcarc")
@@ -236,7 +237,7 @@ def test_a_linear_valve_on_bristles_is_not_described_as_one_with_solenoids():
     assert found.presliding == pytest.approx(0.04, rel=0.15)
     assert found.friction.coulomb == pytest.approx(0.6, rel=0.05)
     assert found.model.static_gain == pytest.approx(0.9, rel=0.01)
-    assert plant.values(found, REST, PERIOD, 10.0)["valve"] == "custom"
+    assert valve_fit.values(found, REST, PERIOD, 10.0)["valve"] == "custom"
 
 
 # A valve of third order and 34.8 Hz, as commissioning fitted it by a fourth order: a zero at 6733 rad/s.
@@ -253,7 +254,7 @@ SLOW = TransferFunction((341574.4,), (1.0, 267.513, 14527.99, 320269.9))
 def known_linear(found, delay=0.0):
     noisy = Rest(0.0, 0.0135, 0.0)
     return model.Known(
-        plant.Plant(found, Friction(0.34, 1.37), 0.0, delay, 1.5), noisy, PERIOD, 10.0, "dcarc"
+        valve_fit.Plant(found, Friction(0.34, 1.37), 0.0, delay, 1.5), noisy, PERIOD, 10.0, "dcarc"
     )
 
 
@@ -261,7 +262,7 @@ def loop_poles(values, around, delay):
     """Of dcarc with ``values`` ``around`` this model, whose readings are ``delay`` periods late."""
     law = LAWS["dcarc"]
     params = law.build(updated(CONTROLLER, defaults(CONTROLLER), values))
-    late = valve.design(around, PERIOD, 10.0, 1.0, valve.FREE, IDEAL._replace(delay=delay))
+    late = valve.design(around, PERIOD, 10.0, 1.0, valve.NO_DISTURBANCE, IDEAL._replace(delay=delay))
     return linear_loop.dominant_poles(linear_loop.linear_law(law, params), linear_loop.linear_valves([late]))
 
 

@@ -9,7 +9,7 @@ import pytest
 from supervised import Steps, SupervisedValve
 
 from benchmarks import supervised as bench_without_ros
-from valve_control.design.commissioning import folder, gains, plant, sequence
+from valve_control.design.commissioning import folder, gains, sequence, valve_fit
 from valve_control.design.commissioning.bench import Diagnosis, Fault, Plan, SafetyLimits
 from valve_control.design.commissioning.folder import Folder
 from valve_control.design.tuning.trial import TuningMotion
@@ -50,7 +50,7 @@ def made(valve):
 
 def test_tests_with_pauses_tell_the_same_valve(monkeypatch):
     """At random moments 5 to 15 s apart; each stretch is whole in the end."""
-    monkeypatch.setattr(plant, "fitted", lambda *about: None)
+    monkeypatch.setattr(valve_fit, "fitted", lambda *about: None)
     moments = np.cumsum(np.random.default_rng(44).uniform(5000.0, 15000.0, 12)).astype(int)
     (found, run, steps), (usual, *_) = made(valve := Pausing(moments)), made(Pausing())
     assert valve.paused >= 3 and run._pauses.total() == valve.paused

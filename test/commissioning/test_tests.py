@@ -10,11 +10,11 @@ from supervised import SupervisedValve, driven, fitted
 
 from benchmarks import solenoid
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.control.simulation import offline
-from valve_control.design.commissioning import evaluation, plant
+from valve_control.design.commissioning import evaluation, valve_fit
 from valve_control.design.commissioning.bench import Record, SafetyLimits
-from valve_control.design.commissioning.plant import Magnet
+from valve_control.design.commissioning.valve_fit import Magnet
 from valve_control.parameter import ParameterError, defaults, updated
 
 LIMITS = SafetyLimits(4.0, 2.0)
@@ -64,7 +64,7 @@ def test_simulated_under_the_same_voltages_the_fitted_valve_is_the_true_one(test
     response, fits, friction = evaluation.linear(sine, planned, static, rest)
     biased = fits[0].model.denominator[2]
     # A higher order would count only if it were better by more than rounding.
-    found = plant.fitted([slow, sine], fits, friction, static.offset, rest)
+    found = valve_fit.fitted([slow, sine], fits, friction, static.offset, rest)
     b0, (_, a1, a0) = found.model.numerator[-1], found.model.denominator
     assert [b0, a0, a1] == pytest.approx([40000.0, 40000.0, 280.0], rel=0.03)
     assert abs(biased / 40000.0 - 1.0) > 0.1  # which the response alone does not give: the spool sticks
@@ -99,7 +99,7 @@ def driven_triangle():
     return np.concatenate([whole, whole, [0.0]])
 
 
-LINEAR = plant.Plant(
+LINEAR = valve_fit.Plant(
     TransferFunction((5800.0,), (1.0, 110.0, 6400.0)), evaluation.Friction(0.8, 1.2), 0.1, 0.001, 1.0, 0.02
 )
 COILED = Magnet(
@@ -116,13 +116,13 @@ def test_a_spool_that_friction_holds_off_centre_is_no_error_of_the_model(magnet,
     before = push * np.interp(np.arange(2500) * 0.001, [0.0, 1.0, 2.0], [0.0, 1.0, 0.0])
     voltage = np.concatenate([before, 2.0 * driven_triangle()])
     nothing = record(voltage, np.zeros(len(voltage)))
-    reading = plant.simulated(true, nothing)[len(before) :]
+    reading = valve_fit.simulated(true, nothing)[len(before) :]
     assert abs(reading[0]) > 0.3  # off the centre, under 0 V
     slow = record(voltage[len(before) :], reading)
-    begin = plant.first_reading(reading, slow.period)
-    assert plant.simulated(true, slow)[0] == pytest.approx(begin, abs=1e-6)
-    weight = plant._weight(slow, REST)
-    assert np.sqrt(np.mean((weight * (plant.simulated(true, slow) - reading)) ** 2)) < plant.SUSPECT
+    begin = valve_fit.first_reading(reading, slow.period)
+    assert valve_fit.simulated(true, slow)[0] == pytest.approx(begin, abs=1e-6)
+    weight = valve_fit._weight(slow, REST)
+    assert np.sqrt(np.mean((weight * (valve_fit.simulated(true, slow) - reading)) ** 2)) < valve_fit.SUSPECT
 
 
 @pytest.mark.parametrize("seed", [1, 2, 5])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from valve_control.control.analysis import timing
-from valve_control.control.plant.models import TransferFunction
-from valve_control.design.commissioning import plant
+from valve_control.control.plant.transfer_functions import TransferFunction
+from valve_control.design.commissioning import valve_fit
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.identification import dead_time
@@ -17,7 +17,7 @@ from valve_control.nodes.commissioning_client import _paired
 
 PERIOD, FINE = 0.001, 40  # s, steps of the true valve in a period
 MODEL = TransferFunction((40000.0,), (1.0, 240.0, 40000.0))
-TRUE = plant.Plant(MODEL, Friction(0.0, 1.0), 0.0, 0.0004, 1.0)
+TRUE = valve_fit.Plant(MODEL, Friction(0.0, 1.0), 0.0, 0.0004, 1.0)
 REST = Rest(0.0, 0.001, 0.0)
 
 
@@ -36,7 +36,7 @@ def over_topics(stands_still=False):
     fine = np.arange(round(taken[-1] / PERIOD * FINE) + 1) * PERIOD / FINE
     applied = np.concatenate([[0.0], wanted])[np.searchsorted(arrival, fine, side="right")]
     exact = Record(PERIOD / FINE, np.zeros(len(fine)), applied, applied)
-    position = plant.simulated(TRUE, exact)[np.round(taken / PERIOD * FINE).astype(int)]
+    position = valve_fit.simulated(TRUE, exact)[np.round(taken / PERIOD * FINE).astype(int)]
     position += REST.noise * random.standard_normal(n)
 
     def samples(times, values):
@@ -47,7 +47,7 @@ def over_topics(stands_still=False):
 
 def fitted(record):
     begin = SimpleNamespace(order=2, model=MODEL, delay=0.001)
-    return plant.fitted([record], [begin], Friction(0.0, 1.0), 0.0, REST)
+    return valve_fit.fitted([record], [begin], Friction(0.0, 1.0), 0.0, REST)
 
 
 @pytest.mark.parametrize("stands_still", [False, True])

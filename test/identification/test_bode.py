@@ -11,7 +11,7 @@ import scipy.signal
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import valve
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.design.identification import bode
 from valve_control.parameter import defaults, updated
 

@@ -8,7 +8,7 @@ import pytest
 
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant.models import FOURTH_ORDER
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER
 from valve_control.design.identification import characteristic, experiment, friction
 from valve_control.design.identification.experiment import Experiment
 from valve_control.parameter import defaults, updated

@@ -9,9 +9,9 @@ import pytest
 
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant import models, valve
-from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
+from valve_control.control.plant import transfer_functions, valve
 from valve_control.control.plant.sensor import IDEAL
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, TransferFunction
 from valve_control.control.simulation import batch
 from valve_control.design.identification import bode, bode_fit, first_gains, theta
 from valve_control.design.identification.lvdt import Lvdt
@@ -54,7 +54,8 @@ def test_every_law_settles_on_valves_around_it(model, delay, noise=0.001):
     for _ in range(24):
         gain, speed = random.uniform(0.8, 1.25, 2)
         late = IDEAL._replace(delay=delay / PERIOD + random.uniform(0.0, 1.0))
-        plants.append(valve.design(models.faster(model, gain, speed), PERIOD, U_MAX, 1.0, valve.FREE, late))
+        around = transfer_functions.faster(model, gain, speed)
+        plants.append(valve.design(around, PERIOD, U_MAX, 1.0, valve.NO_DISTURBANCE, late))
     command = np.full(6000, STEP)
     values = updated(CONTROLLER, defaults(CONTROLLER), made.values)
     for name in ("pid", "arc", "oarc", "dcarc"):

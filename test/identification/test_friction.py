@@ -9,7 +9,7 @@ from research import comparison
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant.models import FOURTH_ORDER
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER
 from valve_control.control.simulation import batch
 from valve_control.design.identification import (
     bode_fit,

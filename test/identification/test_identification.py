@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, VALVE
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.control.simulation import offline
 from valve_control.design.identification import (
     bode,

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from valve_control.control.laws import biquads, design, oarc
+from valve_control.control.laws import biquads, compensator_design, oarc
 from valve_control.control.laws.signals import Start
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 
 def bandwidth(*parts):
@@ -31,8 +31,8 @@ def bandwidth(*parts):
     ("parts", "expected"),
     [
         ((FOURTH_ORDER,), (6.89, 6.17)),
-        ((design.PRINTED_SECOND_ORDER, FOURTH_ORDER), (28.26, 20.48)),
-        ((design.PRINTED_FOURTH_ORDER, FOURTH_ORDER), (13.14, 13.02)),
+        ((compensator_design.PRINTED_SECOND_ORDER, FOURTH_ORDER), (28.26, 20.48)),
+        ((compensator_design.PRINTED_FOURTH_ORDER, FOURTH_ORDER), (13.14, 13.02)),
     ],
 )
 def test_bandwidths_of_the_printed_compensators(parts, expected):
@@ -42,18 +42,20 @@ def test_bandwidths_of_the_printed_compensators(parts, expected):
 @pytest.mark.parametrize("model", [SECOND_ORDER, FOURTH_ORDER])
 @pytest.mark.parametrize("wanted", [15.0, 25.0, 40.0])
 def test_designed_compensator_reaches_its_bandwidth(model, wanted):
-    c = design.pole_zero_compensator(model, wanted)
+    c = compensator_design.pole_zero_compensator(model, wanted)
     got, _ = bandwidth(c, model)
     assert math.isclose(got, wanted, abs_tol=0.01 * wanted)
     assert math.isclose(c.static_gain * model.static_gain, 1.0, rel_tol=1e-9)
     led_by_zero = TransferFunction((0.0, *model.numerator), model.denominator)
-    assert design.pole_zero_compensator(led_by_zero, wanted) == c
+    assert compensator_design.pole_zero_compensator(led_by_zero, wanted) == c
 
 
-@pytest.mark.parametrize("printed", [design.PRINTED_SECOND_ORDER, design.PRINTED_FOURTH_ORDER])
+@pytest.mark.parametrize(
+    "printed", [compensator_design.PRINTED_SECOND_ORDER, compensator_design.PRINTED_FOURTH_ORDER]
+)
 def test_sampled_compensator_follows_the_continuous_one(printed):
     period = 0.001
-    p = design.compensator_params(printed, period, 1e6)
+    p = compensator_design.compensator_params(printed, period, 1e6)
     s = biquads.initial(p, Start(0.0, 0.0, 0.0, 0.0, 0.0))
     t = np.arange(3000) * period
     u = np.sin(2.0 * math.pi * 6.0 * t)
@@ -68,7 +70,7 @@ def test_sampled_compensator_follows_the_continuous_one(printed):
 @pytest.mark.parametrize("order", range(1, 7))
 def test_bessel_poles(order):
     _, wanted, _ = scipy.signal.bessel(order, 157.0, analog=True, output="zpk", norm="mag")
-    assert np.array_equal(design.bessel_poles(order, 157.0), wanted)
+    assert np.array_equal(compensator_design.bessel_poles(order, 157.0), wanted)
 
 
 def points(random, count):
@@ -95,17 +97,17 @@ def test_sections_of_random_transfer_functions():
         a = np.poly(points(random, order)).real * random.uniform(0.1, 3.0)
         b *= 10.0 ** random.uniform(-3.0, 6.0)
         wanted = scipy.signal.tf2zpk(b, a)
-        found = design.zeros_poles_gain(TransferFunction(tuple(b), tuple(a)))
+        found = compensator_design.zeros_poles_gain(TransferFunction(tuple(b), tuple(a)))
         assert all(map(np.array_equal, found, wanted))
-        wanted, found = scipy.signal.bilinear_zpk(*wanted, 1e3), design.bilinear(*found, 1e3)
+        wanted, found = scipy.signal.bilinear_zpk(*wanted, 1e3), compensator_design.bilinear(*found, 1e3)
         assert all(map(np.array_equal, found, wanted))
         try:
             rows = scipy.signal.zpk2sos(*wanted)
         except ValueError:
             with pytest.raises(ValueError):
-                design.sections(*found)
+                compensator_design.sections(*found)
             continue
-        assert np.array_equal(design.sections(*found), rows)
+        assert np.array_equal(compensator_design.sections(*found), rows)
         whole += 1
     assert whole > 500
 

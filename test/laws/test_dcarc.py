@@ -19,8 +19,8 @@ from valve_control.control.laws.least_squares import Weights
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import stability
 from valve_control.control.plant import valve
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.control.plant.sensor import IDEAL
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 from valve_control.parameter import ParameterError
 
 PERIOD = 0.001
@@ -67,7 +67,7 @@ def params(model=FOURTH_ORDER, **changes):
 
 
 def plant(model=FOURTH_ORDER, period=PERIOD, delay=0.0, **changes):
-    made = valve.design(model, period, 10.0, 1.0, valve.FREE, IDEAL._replace(delay=delay / period))
+    made = valve.design(model, period, 10.0, 1.0, valve.NO_DISTURBANCE, IDEAL._replace(delay=delay / period))
     return made._replace(disturbance=made.disturbance._replace(**changes))
 
 

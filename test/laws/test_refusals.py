@@ -5,10 +5,10 @@
 import changed
 import pytest
 
-from valve_control.control.laws import design
+from valve_control.control.laws import compensator_design
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.parameter import ParameterError
 
 DESIGNED = {"controller": "compensator", "compensator__design": "designed"}
@@ -66,7 +66,7 @@ def test_a_controller_is_not_built(changes, said):
 )  # fmt: skip
 def test_a_compensator_is_not_designed(model, bandwidth, said):
     with pytest.raises(ParameterError) as error:
-        design.pole_zero_compensator(TransferFunction(*model), bandwidth)
+        compensator_design.pole_zero_compensator(TransferFunction(*model), bandwidth)
     assert said in str(error.value)
 
 

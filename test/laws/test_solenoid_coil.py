@@ -14,7 +14,7 @@ from valve_control.control.laws import dcarc, dcarc_design
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import stability
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant import models
+from valve_control.control.plant import transfer_functions
 from valve_control.control.simulation import delivery
 from valve_control.parameter import updated
 
@@ -32,7 +32,7 @@ NOTCH = [(name, hum) for name in coil.VALVES for hum in (50.0, 60.0)]
 def test_what_is_known_of_the_hum_decays_at_the_width(name, hum):
     """The pole of the whole observer at the hum, against the walk that the derivation gives for its width."""
     values, turn = known(name, "dcarc"), 2.0 * math.pi * hum * PERIOD
-    model = models.chosen(values, "dcarc.model", "dcarc.")
+    model = transfer_functions.chosen(values, "dcarc.model", "dcarc.")
     noises = (math.hypot(0.004, 0.0049 / math.sqrt(12.0)), 0.5, 4.0 * math.sqrt(PERIOD))
     plain = dcarc_design.observed(model, PERIOD, 0.0, *noises, coil.VALVES[name].coil)
     scale = np.append(dcarc_design.scale_of(model), 1.0)

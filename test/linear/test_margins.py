@@ -15,9 +15,9 @@ from valve_control.control.linear import friction_swing, linear_loop, margins
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
-from valve_control.control.plant.models import FOURTH_ORDER, TransferFunction
 from valve_control.control.plant.sensor import IDEAL
-from valve_control.control.plant.valve import FREE
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, TransferFunction
+from valve_control.control.plant.valve import NO_DISTURBANCE
 from valve_control.control.simulation import batch
 from valve_control.parameter import defaults, updated
 
@@ -37,7 +37,7 @@ CASES = {
 
 
 def plant(gain=1.0, delay=0.0, model=FOURTH_ORDER):
-    return valve.design(model, PERIOD, 10.0, gain, FREE, IDEAL._replace(delay=delay / PERIOD))
+    return valve.design(model, PERIOD, 10.0, gain, NO_DISTURBANCE, IDEAL._replace(delay=delay / PERIOD))
 
 
 def law_of(name, changes):
@@ -111,7 +111,7 @@ def test_peaks_bound_the_margins():
 def test_the_linear_valve_moves_as_the_simulated_one(order, delay):
     model = FOURTH_ORDER if order == 4 else TransferFunction((1502.0,), (1.0, 58.8, 1657.0))
     p = plant(1.3, delay, model)
-    p = p._replace(disturbance=FREE._replace(flow_force=0.2))
+    p = p._replace(disturbance=NO_DISTURBANCE._replace(flow_force=0.2))
     linear = linear_loop.linear_valves([p])
     x, before, shown = np.zeros(4), np.zeros(4), [0.0] * (int(linear.late[0]) + 1)
     s = valve.initial(p)
@@ -124,7 +124,7 @@ def test_the_linear_valve_moves_as_the_simulated_one(order, delay):
 
 
 PERIOD = 0.001
-RUBBING = FREE._replace(coulomb=1.0, presliding=1.0)
+RUBBING = NO_DISTURBANCE._replace(coulomb=1.0, presliding=1.0)
 GAINS = "config/tuned/wide_0.25_pid_reference.yaml"
 
 
@@ -166,9 +166,8 @@ def swings(law, params, plants):
 
 def rubbing(coulomb, presliding, delay=0.0005):
     """A valve on which the swings of GAINS were seen: slow poles, fast zeros, much gain."""
-    made = comparison.made_of(
-        1.35, 0.8, 1.22, delay, FREE._replace(coulomb=coulomb, presliding=presliding, flow_force=0.3)
-    )
+    friction = NO_DISTURBANCE._replace(coulomb=coulomb, presliding=presliding, flow_force=0.3)
+    made = comparison.made_of(1.35, 0.8, 1.22, delay, friction)
     return made._replace(lvdt=made.lvdt._replace(noise=0.0, resolution=0.0))
 
 

@@ -24,7 +24,7 @@ from research.campaigns.processes import process
 from valve_control.axis import axis_supervisor, run
 from valve_control.axis.axis_parameters import AXIS_NODES
 from valve_control.control.parameters import files, ros_file
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 from valve_control.nodes import loop
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, NumberSubscription
 from valve_control.nodes.axis_controller import AxisController

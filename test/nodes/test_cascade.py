@@ -23,7 +23,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 
 from research.campaigns import demo
 from research.campaigns.processes import process
-from valve_control.control.supervision.record import HEAD
+from valve_control.control.supervision.memory import HEAD
 from valve_control.nodes.adapter import SAMPLES
 
 

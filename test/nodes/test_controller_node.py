@@ -15,7 +15,7 @@ from std_msgs.msg import Float64, Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control.control.supervision.journal import Event, block
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 from valve_control.nodes import controller_node, lockstep, telemetry
 from valve_control.nodes.adapter import EVERYTHING, SAMPLES, encoded, encoded_point
 from valve_control.nodes.controller_node import Controller

@@ -57,7 +57,7 @@ def test_the_bits_are_those_of_offline(ros, law):
     valve._send_position, valve._send_voltage = readings.append, voltages.append
     try:
         for value in command:
-            valve._use(float(value))
+            valve._relay(float(value))
             valve.work()
             valve.report()
     finally:

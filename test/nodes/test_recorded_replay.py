@@ -19,7 +19,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.export import unit
 from valve_control.parameter import defaults
-from valve_control.recordings import shadow
+from valve_control.recordings import shadow_replay
 from valve_control.recordings.analysis import analyze, as_dict
 from valve_control.recordings.recording import load
 
@@ -93,7 +93,7 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage
             spin_until(ros, lambda node=node: running[node].poll() is not None, f"end of the {node}")
             assert running[node].returncode == 0, (tmp_path / f"{node}.log").read_text()
     recording = load(bag, journals=True)
-    result = shadow.replay(recording.valves["valve"], {})
+    result = shadow_replay.replay(recording.valves["valve"], {})
     # 1200 voltages were waited for once everything was recorded.
     assert result.faithful and len(result.voltage) > 1100
     assert result.differing == 0, (result.differences[:1], result.left_out)
@@ -106,7 +106,7 @@ def test_shadow_is_the_recording_bit_for_bit(ros, tmp_path, monkeypatch, storage
         for name in ("arc", "oarc", "pid"):
             in_c = Library(unit.law({**defaults(CONTROLLER), "controller": name}))
             monkeypatch.setitem(LAWS, name, LAWS[name]._replace(module=in_c))
-        again = shadow.replay(recording.valves["valve"], {})
+        again = shadow_replay.replay(recording.valves["valve"], {})
         assert again.faithful and again.differing == 0
         assert np.array_equal(again.voltage, result.voltage)
         monkeypatch.undo()

@@ -17,8 +17,8 @@ from valve_control.control import closed_loop, plugins
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import NODES, VALVE
 from valve_control.control.plant import registry, solenoid_valve, valve
-from valve_control.control.plant.models import FOURTH_ORDER, MODELS
 from valve_control.control.plant.plant import Plant, try_out
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, MODELS
 from valve_control.control.simulation import batch, offline, robustness
 from valve_control.parameter import defaults, updated
 

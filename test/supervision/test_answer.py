@@ -10,7 +10,7 @@ from grids import grid
 
 from research.campaigns import dirty
 from valve_control.control.supervision import answer, lvdt
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 
 FEEDBACK = ("arc", "oarc", "dcarc", "pid", *dirty.TUNED)
 SOME = ("oarc", "d3fxe_experiment_dcarc")  # in each run of the tests, the others in the campaign

@@ -8,7 +8,7 @@ from test_cycle_watch import PERIOD, Loop
 
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
-from valve_control.control.plant.models import FOURTH_ORDER
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER
 from valve_control.control.simulation import offline
 from valve_control.parameter import defaults, updated
 

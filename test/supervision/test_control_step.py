@@ -11,7 +11,7 @@ import pytest
 
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.supervision.command_course import Motion
-from valve_control.control.supervision.record import Memory
+from valve_control.control.supervision.memory import Memory
 from valve_control.export import samples, unit
 from valve_control.export.kinds import Kind
 

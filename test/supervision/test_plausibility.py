@@ -17,7 +17,7 @@ from valve_control.control.parameters.table import NODES, VALVE
 from valve_control.control.plant import valve
 from valve_control.control.simulation import batch, robustness
 from valve_control.control.supervision import answer, lvdt, lvdt_trust, plausibility
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 from valve_control.parameter import defaults, updated
 
 FEEDBACK = tuple(name for name, law in registry.LAWS.items() if law.feedback)

@@ -12,7 +12,7 @@ from test_cycle_watch import Loop
 from valve_control.control.laws import registry
 from valve_control.control.parameters import files
 from valve_control.control.supervision import lvdt
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 
 PERIOD = 1e-3  # s
 BITS = {bits: 20.0 / 2**bits for bits in (10, 12)}  # V  steps of converters over ±10 V

@@ -13,7 +13,7 @@ from valve_control.control.linear import linear_loop
 from valve_control.control.parameters import build, files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.supervision import rate
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 from valve_control.parameter import defaults, updated
 
 PERIOD = 0.001

@@ -25,7 +25,7 @@ from valve_control.control.plant import valve
 from valve_control.control.simulation import offline
 from valve_control.control.supervision import bumpless_transfer
 from valve_control.control.supervision.bumpless_transfer import ZERO, Offset, State
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import ParameterError, defaults, lookup, updated
 

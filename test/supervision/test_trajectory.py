@@ -12,7 +12,7 @@ from valve_control.control.commands import scenarios
 from valve_control.control.supervision import command_course, trajectory
 from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.control_step import BOTH
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 
 STROKE = scenarios.Shape("point_to_point", 1.5, 0.0, 0.1, 1.0, 1.0, 40.0, 2000.0, 0.4, 1.0)
 

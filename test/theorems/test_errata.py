@@ -14,12 +14,12 @@ import scipy.linalg
 import sympy as sp
 
 from research.theorems import bench
-from valve_control.control.laws import design, oarc, pid, projection, reshaping, velocity
+from valve_control.control.laws import compensator_design, oarc, pid, projection, reshaping, velocity
 from valve_control.control.laws.projection import Theta
 from valve_control.control.laws.signals import Start
 from valve_control.control.linear import linear_loop
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, SECOND_ORDER
 from valve_control.parameter import defaults, updated
 
 TH = sp.symbols("theta1:5")
@@ -103,7 +103,7 @@ def test_6_and_7_forget_the_spring():
 
 
 def test_12_is_not_made_for_2():
-    c = design.PRINTED_SECOND_ORDER
+    c = compensator_design.PRINTED_SECOND_ORDER
     assert np.allclose(np.array(c.numerator) / c.numerator[0], [1.0, 54.05, 1561.22])
     assert c.static_gain * 1455.97 / 1561.22 == pytest.approx(1.0, abs=1e-12)  # of the model it was made for
     assert c.static_gain * SECOND_ORDER.static_gain == pytest.approx(0.9719, abs=1e-4)
@@ -112,7 +112,7 @@ def test_12_is_not_made_for_2():
 
 
 def test_13_cancels_the_poles_of_3_but_not_its_gain():
-    c = design.PRINTED_FOURTH_ORDER
+    c = compensator_design.PRINTED_FOURTH_ORDER
     printed = np.array(c.numerator) / 2880.0
     assert np.array_equal(printed[:4], FOURTH_ORDER.denominator[:4])
     assert printed[4] - FOURTH_ORDER.denominator[4] == pytest.approx(2.0)

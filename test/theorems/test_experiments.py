@@ -79,7 +79,7 @@ def test_poles_are_those_of_the_law_s_own_step(gains):
             loop.PERIOD,
             10.0,
             float(valves.gain[i]),
-            valve.FREE._replace(flow_force=float(valves.flow[i])),
+            valve.NO_DISTURBANCE._replace(flow_force=float(valves.flow[i])),
             IDEAL._replace(delay=valves.delay[i] / loop.PERIOD),
         )
         assert radius == pytest.approx(abs(stability.dominant_pole(LAWS["dcarc"], p, plant)), abs=1e-9)

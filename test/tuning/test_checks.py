@@ -16,9 +16,9 @@ from valve_control.control.linear import margins
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.plant import valve
-from valve_control.control.plant.models import FOURTH_ORDER
 from valve_control.control.plant.sensor import IDEAL
-from valve_control.control.plant.valve import FREE
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER
+from valve_control.control.plant.valve import NO_DISTURBANCE
 from valve_control.control.simulation import batch
 from valve_control.design.tuning import checks, limits, trial
 from valve_control.design.tuning.trial import GainSet, Problem, TuningMotion
@@ -37,7 +37,7 @@ NUMBER = 1620  # of the valves of benchmarks.tuned, seed 20261122, on which they
 
 
 def plant(**changes):
-    return valve.design(FOURTH_ORDER, PERIOD, 10.0, 1.0, FREE, IDEAL)._replace(**changes)
+    return valve.design(FOURTH_ORDER, PERIOD, 10.0, 1.0, NO_DISTURBANCE, IDEAL)._replace(**changes)
 
 
 def problem_of(law, plants, motions=(), **changes):
@@ -118,7 +118,7 @@ def test_what_rings_down_slowly_is_no_limit_cycle():
 def test_the_valves_own_swing_is_no_limit_cycle_of_the_loop():
     """It counts where the loop makes it much larger, or where the problem is strict and a node reports it."""
     loud = files.load("config/tuned/wide_0.25_pid_reference.yaml")["controller"]
-    friction = FREE._replace(coulomb=1.4, presliding=0.035, flow_force=0.3)
+    friction = NO_DISTURBANCE._replace(coulomb=1.4, presliding=0.035, flow_force=0.3)
     valve_of_it = comparison.made_of(1.35, 0.8, 1.22, 0.0005, friction)
     valve_of_it = valve_of_it._replace(lvdt=valve_of_it.lvdt._replace(noise=0.0, resolution=0.0))
     plants = [valve_of_it, valve_of_it._replace(gain_scale=4.0)]

@@ -16,7 +16,7 @@ from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import margins
 from valve_control.control.parameters import files
 from valve_control.control.parameters.table import CONTROLLER, NODES
-from valve_control.control.plant.models import Scale
+from valve_control.control.plant.transfer_functions import Scale
 from valve_control.control.simulation import robustness
 from valve_control.design.tuning import box, checks, limits, search, trial, tuner, verification
 from valve_control.design.tuning.search import EvaluatedGains

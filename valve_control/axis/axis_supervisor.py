@@ -19,7 +19,7 @@ from valve_control.axis import axis_pid, axis_watch, path, upper
 from valve_control.axis.course import Goal
 from valve_control.axis.machine import Reading
 from valve_control.axis.path import Path
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 from valve_control.parameter import ParameterError, Values, number, word
 
 NANO = 1e-9

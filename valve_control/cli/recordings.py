@@ -116,7 +116,7 @@ def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> dict[str
 
 
 def _replay(arguments: argparse.Namespace) -> int:
-    from valve_control.recordings import replay_report, shadow
+    from valve_control.recordings import replay_report, shadow_replay
     from valve_control.recordings.analysis import analyze
 
     loaded = common.load(arguments, arguments.bag, journals=True)
@@ -127,7 +127,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     files.refuse_others(arguments.set, {"controller": NODES["controller"]}, why)
     readings = found.valve.signals.get("spool_position")
     with common.progress(0 if readings is None else len(readings.time), "samples") as bar:
-        result = shadow.replay(found.valve, changes["controller"], bar.update)
+        result = shadow_replay.replay(found.valve, changes["controller"], bar.update)
     result = result._replace(left_out=[*left_out, *result.left_out])
     report = replay_report.of_shadow(result, arguments.bag, found.valve.name)
     csv_files = {} if arguments.csv is None else {arguments.csv: common.csv_text(report.columns, "%.17g")}

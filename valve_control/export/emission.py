@@ -17,7 +17,7 @@ from valve_control.export.terms import ARGUMENTS, LIBRARY, Function
 from valve_control.parameter import ParameterError
 
 WIDTH = 110
-IN_C = {"binding": "watch", "lvdt_trust": "lvdt_watch", "saturation": "amplifier"}  # published names stay
+IN_C = {"binding": "watch", "lvdt_trust": "lvdt_watch", "saturation": "amplifier", "memory": "m"}  # public
 _HELPERS = {
     "least": """/* min of Python: the first unless b < a. */
 static {real} {prefix}_least({real} a, {real} b)

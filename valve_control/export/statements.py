@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from valve_control.export import kinds
-from valve_control.export.emission import wrapped
+from valve_control.export.emission import IN_C, wrapped
 from valve_control.export.expressions import Expressions
 from valve_control.export.kinds import INTEGER, NOTHING, REAL, Kind, comment
 from valve_control.export.terms import Function, Term, named
@@ -45,7 +45,7 @@ class Body(Expressions):
         program = self._program
         given = []
         for argument, kind in zip(self._parsed.args.args, wanted, strict=True):
-            own = self._local(argument.arg)
+            own = IN_C["memory"] if kind.is_memory else self._local(argument.arg)
             if kind.is_memory:
                 given.append(self._type(argument, kind, f"*{own}"))
                 self._scope[argument.arg] = Term(own, kind, has_address=True, pointer=True)
@@ -64,8 +64,8 @@ class Body(Expressions):
         ended = self._block(self._parsed.body)
         body, self._lines = self._lines, head
         used = set(re.findall(r"\w+", "\n".join([*head, *body])))
-        for argument in self._parsed.args.args:
-            if self._local(argument.arg) not in used:
+        for argument, kind in zip(self._parsed.args.args, wanted, strict=True):
+            if not kind.is_memory and self._local(argument.arg) not in used:
                 self._line(f"(void){self._local(argument.arg)};")
         self._lines += self._head + body
         returns = self._returns or NOTHING

@@ -15,7 +15,7 @@ from valve_control.control.laws.signals import Start
 from valve_control.control.parameters.table import CONTROLLER, VALVE
 from valve_control.control.plant import registry
 from valve_control.control.supervision import binding
-from valve_control.control.supervision.record import Memory
+from valve_control.control.supervision.memory import Memory
 from valve_control.export import kinds
 from valve_control.export.kinds import Kind, identifier
 from valve_control.parameter import Table, Values, number, word

@@ -22,7 +22,7 @@ from valve_control.axis.axis_parameters import AXIS_CONTROLLER
 from valve_control.axis.course import Goal, MotionLimits
 from valve_control.axis.machine import Reading
 from valve_control.axis.path import nanoseconds
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 from valve_control.nodes.adapter import (
     NEWEST,
     SAMPLES,

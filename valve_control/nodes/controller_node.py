@@ -22,13 +22,13 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valve_control import outputs, parameter
-from valve_control.control.laws.registry import LAWS, REFUSED
+from valve_control.control.laws.registry import LAWS, LEFT_OUT
 from valve_control.control.parameters import arguments, build, ros_file
 from valve_control.control.parameters.controller import CONTROLLER
 from valve_control.control.supervision import rate
 from valve_control.control.supervision.command_course import Motion
 from valve_control.control.supervision.journal import OBSERVED, TYPES, Journal
-from valve_control.control.supervision.record import Mode
+from valve_control.control.supervision.memory import Mode
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.nodes import realtime
 from valve_control.nodes.adapter import (
@@ -85,7 +85,7 @@ class Controller(Managed):
         self._catching_up = False  # whether readings of a standstill come in a burst
         self._alone, self._commands_at = alone, NEVER  # s, when commands are taken for the next reading
         self._seen = 0.0  # s, last reading or silence
-        self._pace: rate.State | None = None  # of the readings before the first that is used
+        self._first_pace: rate.State | None = None  # of the readings before the first that is used
         self._last_number = 0  # of a reading before the first that is used
         self._counts: dict[str, int] = {}  # of publishers, by topic
         self._strange: dict[str, int] = {}  # of those with another message type
@@ -121,7 +121,7 @@ class Controller(Managed):
         self._supervisor.apply(values, built)
         self._params = built
         self._period = parameter.number(values, "sample_period")
-        self._paced = parameter.number(values, "lvdt.period_limit") < rate.ANY
+        self._clocked = parameter.number(values, "lvdt.period_limit") < rate.ANY
         self._journal_topics.period = parameter.number(values, "memory_period")
         self._in_lockstep = values["lockstep"] is True
         # Periods: half of one more than the last reading that may still come in time.
@@ -145,7 +145,7 @@ class Controller(Managed):
         self._trajectories = PolledSubscription(self, JointTrajectoryPoint, "spool_trajectory", qos)
         self._readings = self._source(qos)
         sources = (self._commands, self._trajectories)
-        self._lockstep = Lockstep(self, sources, self._use, self._acquainted) if self._in_lockstep else None
+        self._lockstep = Lockstep(self, sources, self._relay, self._acquainted) if self._in_lockstep else None
 
     def _source(self, qos: QoSProfile) -> NumberSubscription:
         """Readings of the LVDT with their numbers."""
@@ -163,10 +163,10 @@ class Controller(Managed):
         self._said = None
         self._seen = time.monotonic()
         self._silent_at = NEVER if self._in_lockstep else self._seen + REMIND
-        self._pace = None if self._in_lockstep else rate.UNKNOWN
+        self._first_pace = None if self._in_lockstep else rate.UNKNOWN
         self._catching_up = False
         self._timing.clear()
-        for sentence in REFUSED:
+        for sentence in LEFT_OUT.values():
             self.get_logger().warning(sentence)
         self.get_logger().info(
             f"{self._supervisor.name} at {1.0 / self._period:g} Hz, waiting for spool_position"
@@ -174,7 +174,7 @@ class Controller(Managed):
 
     def end(self) -> None:
         """Publish 0 V once and stop."""
-        self._publish(self._supervisor.stop())
+        self._give_voltage(self._supervisor.stop())
         self._rivals.listen(False, self._period)
         self._journal_topics.publish()
         self._silent_at = NEVER
@@ -221,11 +221,11 @@ class Controller(Managed):
         if now >= self._silent_at and not worked:
             self._catching_up = self._stood_still(now)
             self._take_commands()
-            if self._pace is not None:
-                self._pace = rate.interrupted(self._pace)
+            if self._first_pace is not None:
+                self._first_pace = rate.interrupted(self._first_pace)
             voltage = self._supervisor.silence(self._lap(now), self._catching_up)
             if self._supervisor.begun:
-                self._publish(voltage)
+                self._give_voltage(voltage)
             self._silent_at = now + REMIND
             worked = True
         return worked
@@ -242,7 +242,7 @@ class Controller(Managed):
             self.get_logger().warning(UNKNOWN)
         if not self._in_lockstep:
             self._take_commands()
-        if self._pace is not None and not self._measure_period(self._pace, number, began):
+        if self._first_pace is not None and not self._measure_period(self._first_pace, number, began):
             return
         # What was sent while this process stood still comes in a burst afterwards and is stale.
         if self._stood_still(began):
@@ -251,10 +251,10 @@ class Controller(Managed):
             arrivals = self._timing.arrivals
             self._catching_up = bool(arrivals) and began - arrivals[-1] < 0.5 * self._period
         if self._catching_up:
-            self._publish(self._supervisor.skip(reading, number, self._lap(began)))
+            self._give_voltage(self._supervisor.skip(reading, number, self._lap(began)))
         else:
-            elapsed = self._lap(began)
-            self._supervisor.sample(reading, number, 0.0 if self._in_lockstep else elapsed, self._publish)
+            lap = self._lap(began)
+            self._supervisor.sample(reading, number, 0.0 if self._in_lockstep else lap, self._give_voltage)
         ended = time.monotonic()
         latency = (self._published - info["source_timestamp"]) * 1e-9
         self._timing.note(began, ended, latency, self._period)
@@ -272,9 +272,9 @@ class Controller(Managed):
         pace = rate.step(expected, before, self._lap(now), periods)
         self._silent_at = now + self._silent_after * self._period
         if rate.is_right(expected, pace):
-            self._pace, self._last_number = None, 0
+            self._first_pace, self._last_number = None, 0
             return True
-        self._pace = pace
+        self._first_pace = pace
         if pace.level == 2 and before.level < 2:
             self._supervisor.observe("lvdt_missing", rate.text(expected, pace))
         return False
@@ -284,7 +284,7 @@ class Controller(Managed):
         elapsed, self._seen = now - self._seen, now
         return elapsed
 
-    def _publish(self, voltage: float) -> None:
+    def _give_voltage(self, voltage: float) -> None:
         self._rivals.given += 1
         self._send_voltage(encoded(voltage))
         self._published = time.time_ns()
@@ -293,21 +293,21 @@ class Controller(Managed):
         """Pass waiting commands to the supervisor."""
         for source in (self._commands, self._trajectories):
             for message, info in source.take():
-                self._use(message, info)
+                self._relay(message, info)
 
-    def _use(self, message: Any, info: Mapping[str, Any] = {}) -> None:  # noqa: B006
+    def _relay(self, message: Any, info: Mapping[str, Any] = {}) -> None:  # noqa: B006
         """Pass on a command or a point.
 
         Times mean nothing in lockstep, without ``info``, and where readings may come at any pace.
         """
         since = math.nan
-        if info and self._paced:  # s after the last reading or silence, by the middleware, or by now
+        if info and self._clocked:  # s after the last reading or silence, by the middleware, or by now
             received = info["received_timestamp"]
             ago = (time.time_ns() - received) * 1e-9 if received else 0.0
             since = time.monotonic() - self._seen - ago
         supervisor, journal, sent = self._supervisor, self._journal, info.get("source_timestamp", 0)
         if not isinstance(message, JointTrajectoryPoint):
-            supervisor.command(message, journal.seconds("command", sent * self._paced), since)
+            supervisor.command(message, journal.seconds("command", sent * self._clocked), since)
             return
         counts = len(message.positions), len(message.velocities), len(message.accelerations)
         if counts == (1, 1, 1):

@@ -134,7 +134,7 @@ class DeviceController(DeviceNode, Controller):
         """Whether this process stood still; a wait for the device, in which time goes by too, is none."""
         return super()._stood_still(now if self.device.polled else self._asked_at)
 
-    def _publish(self, voltage: float) -> None:
+    def _give_voltage(self, voltage: float) -> None:
         self.device.write(voltage)
         self._published = time.time_ns()
         self._given.append(voltage)

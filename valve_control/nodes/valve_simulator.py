@@ -81,7 +81,7 @@ class ValveSimulator(Managed):
         self._clock_message = ClockMessage()
         self._diagnostics = Diagnostics(self, self._diagnose)
         ParameterSet(self, VALVE, self._build, self._apply, alone)
-        for sentence in registry.REFUSED:
+        for sentence in registry.LEFT_OUT.values():
             self.get_logger().warning(sentence)
         if self._values["autostart"]:
             self.autostart()

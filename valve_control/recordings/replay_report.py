@@ -8,7 +8,7 @@ from valve_control.arrays import Floats
 from valve_control.control.analysis.indices import indices, rms
 from valve_control.recordings import report
 from valve_control.recordings.report import BLACK, BLUE, GREEN, RED, Figure, Notes, Report, Table
-from valve_control.recordings.shadow import Shadow
+from valve_control.recordings.shadow_replay import Shadow
 
 
 def _effort(voltage: Floats) -> dict[str, float]:

@@ -106,5 +106,5 @@ def model(p: Params) -> tuple[float, float, float]:
     return 58.8, 1657.0, 1502.0
 
 
-FREE = (Free("lead.gain", 0.2, 50.0), Free("lead.lead", 0.001, 0.1), Free("lead.integral", 1.0, 3000.0))
-LAW = Law("lead", "lead-lag feedback", sys.modules[__name__], PARAMETERS, build, model, free=FREE)
+TUNABLE = (Free("lead.gain", 0.2, 50.0), Free("lead.lead", 0.001, 0.1), Free("lead.integral", 1.0, 3000.0))
+LAW = Law("lead", "lead-lag feedback", sys.modules[__name__], PARAMETERS, build, model, free=TUNABLE)

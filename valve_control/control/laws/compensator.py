@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Describes the pole-zero compensator (12), (13) or of any design: open loop, the reading is not fed back."""
 
-from valve_control.control.laws import biquads, design
+from valve_control.control.laws import biquads, compensator_design
 from valve_control.control.laws.free import Free
 from valve_control.control.laws.law import Law
-from valve_control.control.plant import models
+from valve_control.control.plant import transfer_functions
 from valve_control.parameter import Parameter, Table, Values, number, word
 
 PRINTED = {
-    "printed_second_order": design.PRINTED_SECOND_ORDER,
-    "printed_fourth_order": design.PRINTED_FOURTH_ORDER,
+    "printed_second_order": compensator_design.PRINTED_SECOND_ORDER,
+    "printed_fourth_order": compensator_design.PRINTED_FOURTH_ORDER,
 }
 PARAMETERS: Table = (
     Parameter(
@@ -30,20 +30,20 @@ PARAMETERS: Table = (
     Parameter("compensator.bandwidth", 25.0, "Hz", "-3 dB bandwidth of a designed compensator", 0.1, 1e4),
     Parameter("compensator.order", 0, "", "poles of the Bessel filter; 0: one more than necessary", 0, 6),
     Parameter("compensator.cancel_zeros", True, "", "whether it also cancels stable zeros; (13) does not"),
-    *models.custom_parameters("compensator."),
+    *transfer_functions.custom_parameters("compensator."),
 )
 
 
 def build(values: Values) -> biquads.Params:
     """The compensator's Params from the controller's values. Raises ParameterError."""
     chosen, period = word(values, "compensator.design"), number(values, "sample_period")
-    transfer_function = PRINTED.get(chosen) or design.pole_zero_compensator(
-        models.chosen(values, "compensator.model", "compensator."),
+    transfer_function = PRINTED.get(chosen) or compensator_design.pole_zero_compensator(
+        transfer_functions.chosen(values, "compensator.model", "compensator."),
         number(values, "compensator.bandwidth"),
         bool(values["compensator.cancel_zeros"]),
         int(number(values, "compensator.order")),
     )
-    return design.compensator_params(transfer_function, period, number(values, "u_max"))
+    return compensator_design.compensator_params(transfer_function, period, number(values, "u_max"))
 
 
 LAW = Law(

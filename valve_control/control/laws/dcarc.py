@@ -24,9 +24,9 @@ from valve_control.control.laws.law import Law
 from valve_control.control.laws.least_squares import NOTHING, Weights
 from valve_control.control.laws.projection import clip
 from valve_control.control.laws.signals import Start
-from valve_control.control.plant import models
-from valve_control.control.plant.models import Scale, TransferFunction
+from valve_control.control.plant import transfer_functions
 from valve_control.control.plant.saturation import saturate
+from valve_control.control.plant.transfer_functions import Scale, TransferFunction
 from valve_control.parameter import Parameter, ParameterError, Table, Values, defaults, number, numbers
 
 WEIGHTS = (
@@ -508,7 +508,7 @@ PARAMETERS: Table = (
         "valve model for inverse and observer: (2), (3) or custom",
         choices=("second_order", "fourth_order", "custom"),
     ),
-    *models.custom_parameters("dcarc."),
+    *transfer_functions.custom_parameters("dcarc."),
     Parameter(
         "dcarc.smoothing", 0.001, "s", "filter behind (8) for a third derivative, with a coil", 1e-5, 0.1
     ),
@@ -619,7 +619,7 @@ def build(values: Values) -> Params:
     start, lower, upper, spread = _weights(values)
     noise = number(values, "dcarc.fit_noise")
     assumed, assumed_noise = _assumed(spread, noise)
-    valve_model = models.chosen(values, "dcarc.model", "dcarc.")
+    valve_model = transfer_functions.chosen(values, "dcarc.model", "dcarc.")
     given = {argument: number(values, f"dcarc.{name}") for argument, name in DESIGNED.items()}
     made = dcarc_design.design(valve_model, period, **given)
     return Params(
@@ -658,7 +658,7 @@ def _smoothing(values: Values) -> float:
     """Speed [1/s] of the filter behind (8), sampled; 0.0: the model needs none."""
     from valve_control.control.laws import dcarc_design  # scipy.linalg takes a while
 
-    if dcarc_design.excess(models.chosen(values, "dcarc.model", "dcarc.")) <= 2:
+    if dcarc_design.excess(transfer_functions.chosen(values, "dcarc.model", "dcarc.")) <= 2:
         return 0.0
     period = number(values, "sample_period")
     return -math.expm1(-period / number(values, "dcarc.smoothing")) / period

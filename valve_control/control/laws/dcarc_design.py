@@ -15,7 +15,7 @@ import scipy.linalg
 
 from valve_control.arrays import Floats
 from valve_control.control.laws import dcarc_parts as parts
-from valve_control.control.plant.models import TransferFunction, slow_motion
+from valve_control.control.plant.transfer_functions import TransferFunction, slow_motion
 from valve_control.control.plant.valve import observability_form
 from valve_control.parameter import ParameterError
 

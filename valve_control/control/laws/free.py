@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from valve_control.control.plant.models import D3FXE, Scale
+from valve_control.control.plant.transfer_functions import D3FXE, Scale
 from valve_control.parameter import Value, Values, number, numbers
 
 DIGITS = 4  # that are chosen, so that a file holds just what was tried

@@ -12,7 +12,7 @@ from valve_control.control.laws import reshaping
 from valve_control.control.laws.free import Free, placed
 from valve_control.control.laws.projection import Theta
 from valve_control.control.laws.signals import Start
-from valve_control.control.plant.models import Scale, TransferFunction
+from valve_control.control.plant.transfer_functions import Scale, TransferFunction
 from valve_control.parameter import Table, Value, Values, defaults
 
 TERMS = ("reference", "z1", "unsaturated_voltage")  # that each law has

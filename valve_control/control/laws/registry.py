@@ -8,9 +8,11 @@ Another package adds a law by an entry point of the group ``valve_control.laws``
 from functools import partial
 
 from valve_control.control import compiling, plugins
-from valve_control.control.laws import arc, compensator, dcarc, linearisation, oarc, open_loop, pid, reshaping
+from valve_control.control.laws import arc, compensator, dcarc, oarc, open_loop, pid
 from valve_control.control.laws.common import COMMON
 from valve_control.control.laws.law import Law, try_out
+from valve_control.control.laws.linearisation import built as linearised
+from valve_control.control.laws.reshaping import PARAMETERS as RESHAPING
 from valve_control.parameter import defaults
 
 GROUP = "valve_control.laws"
@@ -23,20 +25,19 @@ def accepted(found: object, taken: dict[str, Law]) -> Law:
         raise plugins.PluginError(f"the name is taken by a law of {taken[law.name].package}")
     if getattr(law.module, "__file__", None) is None:
         raise plugins.PluginError("it is in no file; write it into one, such as my_law.py, and import that")
-    try_out(law, {**defaults(COMMON), **defaults(reshaping.PARAMETERS)})
+    try_out(law, {**defaults(COMMON), **defaults(RESHAPING)})
     compiling.add_sources(law.module)
     return law
 
 
 def usable(law: Law, package: str, taken: dict[str, Law]) -> Law:
     """``law`` of a ``package`` as LAWS has it. Raises PluginError, or what ``law`` raises."""
-    return accepted(law, taken)._replace(package=package, build=partial(linearisation.built, law.build))
+    return accepted(law, taken)._replace(package=package, build=partial(linearised, law.build))
 
 
 BUILT_IN = (arc, oarc, dcarc, pid, compensator, open_loop)
 LAWS: dict[str, Law] = {module.LAW.name: module.LAW for module in BUILT_IN}
 LEFT_OUT = plugins.add(GROUP, "law", accepted, LAWS)  # why, as a sentence
 for _name, _law in LAWS.items():  # the limit of its voltage is behind the curve of linearisation
-    LAWS[_name] = _law._replace(build=partial(linearisation.built, _law.build))
-REFUSED = list(LEFT_OUT.values())
+    LAWS[_name] = _law._replace(build=partial(linearised, _law.build))
 ADAPTIVE = tuple(law.name for law in LAWS.values() if law.estimates_valve)

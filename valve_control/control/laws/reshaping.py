@@ -13,7 +13,7 @@ from functools import partial
 from typing import NamedTuple
 
 from valve_control.control.laws.free import Free
-from valve_control.control.plant.models import D3FXE, LIKE, Scale, TransferFunction, slow_motion
+from valve_control.control.plant.transfer_functions import D3FXE, LIKE, Scale, TransferFunction, slow_motion
 from valve_control.parameter import Parameter, ParameterError, Table, Values, defaults, number, word
 
 

@@ -18,8 +18,8 @@ from valve_control.control.laws.law import Law
 from valve_control.control.linear import linear_loop
 from valve_control.control.linear.linear_loop import LinearValves
 from valve_control.control.plant import registry, valve
-from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.sensor import IDEAL
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.parameter import Values, number
 
 GAIN_MARGIN = 1.25  # of b0; the real valve's b0 lies that far from θ(0), and so does (2)
@@ -40,7 +40,7 @@ def believed(law: Law, params: Any) -> LinearValves:
     a1, a0, b0 = law.model(params)
     model = TransferFunction((b0,), (1.0, a1, a0))
     return linear_loop.linear_valves(
-        [valve.design(model, params.period, params.u_max, 1.0, valve.FREE, IDEAL)]
+        [valve.design(model, params.period, params.u_max, 1.0, valve.NO_DISTURBANCE, IDEAL)]
     )
 
 

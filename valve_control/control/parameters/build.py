@@ -16,7 +16,7 @@ from valve_control.parameter import ParameterError, Values, number, word
 
 if TYPE_CHECKING:
     from valve_control.control.commands.scenarios import Shape
-    from valve_control.control.plant.models import TransferFunction
+    from valve_control.control.plant.transfer_functions import TransferFunction
 
 OF_A_RUN = 9  # numbers of a sample: three signals, command, with its lead, noise, errors, limit cycle
 

@@ -4,7 +4,7 @@
 
 from valve_control.control.laws.common import SAMPLE_PERIOD, U_MAX
 from valve_control.control.parameters.controller import AUTOSTART, REALTIME
-from valve_control.control.plant import common, models, registry, sensor
+from valve_control.control.plant import common, registry, sensor, transfer_functions
 from valve_control.parameter import Parameter, Table
 
 FAULT_SAMPLES = Parameter(
@@ -23,7 +23,7 @@ VALVE: Table = (
         choices=tuple(registry.CHOICES),
         left_out=tuple(registry.LEFT_OUT.items()),
     ),
-    *models.custom_parameters(""),
+    *transfer_functions.custom_parameters(""),
     common.GAIN_SCALE,
     Parameter("seed", 1, "", "seed of the LVDT noise", 0, 2**31 - 1),
     Parameter(

@@ -5,9 +5,9 @@
 from collections.abc import Mapping
 from typing import Any
 
-from valve_control.control.plant import models, sensor, valve
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant import sensor, transfer_functions, valve
 from valve_control.control.plant.plant import Plant
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.parameter import ParameterError, Value, Values, number
 
 
@@ -26,7 +26,7 @@ def build(values: Values) -> valve.Params:
     )
     u_max, gain_scale = number(values, "u_max"), number(values, "gain_scale")
     period = number(values, "sample_period")
-    model = models.chosen(values, "valve", "")
+    model = transfer_functions.chosen(values, "valve", "")
     try:
         return valve.design(model, period, u_max, gain_scale, disturbance, sensor.build(values))
     except valve.ModelError as error:
@@ -35,7 +35,7 @@ def build(values: Values) -> valve.Params:
 
 def model(values: Values) -> TransferFunction:
     """Linear model of the valve, with its gain scaled. Raises ParameterError."""
-    return models.chosen(values, "valve", "").scaled(number(values, "gain_scale"))
+    return transfer_functions.chosen(values, "valve", "").scaled(number(values, "gain_scale"))
 
 
 def itself(params: valve.Params) -> valve.Params:
@@ -45,7 +45,7 @@ def itself(params: valve.Params) -> valve.Params:
 
 def scaled(values: Values, gain: float, speed: float) -> Mapping[str, Value]:
     """Changed values of a valve with its gain and speed multiplied. Raises ParameterError."""
-    made = models.faster(model(values), gain, speed)
+    made = transfer_functions.faster(model(values), gain, speed)
     return {
         "gain_scale": 1.0,
         "valve": "custom",
@@ -95,6 +95,6 @@ PLANT = Plant(
     quiet=quiet,
     steady=steady,
     resumed=resumed,
-    choices=(*models.MODELS, "custom"),
+    choices=(*transfer_functions.MODELS, "custom"),
     compiled=False,
 )

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from valve_control.control import plugins
 from valve_control.control.plant import valve
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.parameter import Table, Value, Values, defaults
 
 

@@ -8,7 +8,7 @@ Another package adds a plant by an entry point of the group ``valve_control.plan
 from typing import Any
 
 from valve_control.control import compiling, plugins
-from valve_control.control.plant import linear_valve, models, solenoid_valve, valve
+from valve_control.control.plant import linear_valve, solenoid_valve, transfer_functions, valve
 from valve_control.control.plant.common import PARAMETERS
 from valve_control.control.plant.plant import Plant, try_out
 from valve_control.parameter import Values, defaults, word
@@ -18,7 +18,7 @@ TRIED: Values = {
     "sample_period": 0.001,
     "u_max": 10.0,
     "seed": 1,
-    **defaults(models.custom_parameters("")),
+    **defaults(transfer_functions.custom_parameters("")),
     **defaults(PARAMETERS),
 }
 
@@ -40,7 +40,6 @@ def accepted(found: object, taken: dict[str, Plant]) -> Plant:
 
 PLANTS = {plant.name: plant for plant in (linear_valve.PLANT, solenoid_valve.PLANT)}
 LEFT_OUT = plugins.add(GROUP, "plant", accepted, PLANTS)  # why, as a sentence
-REFUSED = list(LEFT_OUT.values())
 CHOICES = {value: plant for plant in PLANTS.values() for value in plant.values}  # of the parameter `valve`
 _OF_PARAMS = {plant.module.Params: plant for plant in PLANTS.values()}
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from valve_control.control.plant import sensor, solenoid, valve
-from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.plant import Plant
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.parameter import Parameter, ParameterError, Table, Value, Values, number
 
 CONVERTER = 10.0  # V  range of the converter to both sides

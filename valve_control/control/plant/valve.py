@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from valve_control.control.plant.models import TransferFunction
 from valve_control.control.plant.saturation import saturate
 from valve_control.control.plant.sensor import Lvdt, reading
+from valve_control.control.plant.transfer_functions import TransferFunction
 
 
 class Row(NamedTuple):
@@ -42,7 +42,7 @@ class Disturbance(NamedTuple):
     gain_drift: float  # 1/s    relative growth of the gain
 
 
-FREE = Disturbance(0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of friction and of everything else
+NO_DISTURBANCE = Disturbance(0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Params(NamedTuple):

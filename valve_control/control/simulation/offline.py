@@ -23,8 +23,8 @@ from valve_control.control.laws.signals import Start
 from valve_control.control.linear import stability
 from valve_control.control.parameters import build
 from valve_control.control.plant import registry
-from valve_control.control.plant.models import LIKE, TransferFunction
 from valve_control.control.plant.saturation import saturate
+from valve_control.control.plant.transfer_functions import LIKE, TransferFunction
 from valve_control.control.simulation import delivery
 from valve_control.control.simulation.delivery import Delivery
 from valve_control.parameter import ParameterError, Values, number, word

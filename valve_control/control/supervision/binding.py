@@ -11,11 +11,11 @@ from valve_control.control.compiling import bind
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.projection import Theta
 from valve_control.control.supervision import bumpless_transfer, control_step
-from valve_control.control.supervision.record import Memory
+from valve_control.control.supervision.memory import Memory
 from valve_control.control.supervision.watch_table import REPORTING
 from valve_control.parameter import Values
 
-TOLD = {watch.slot for watch in REPORTING} | {  # of the memory, what C leaves out
+NOT_IN_C = {watch.slot for watch in REPORTING} | {  # of the memory
     *("samples", "sequence", "pace", "kept", "saturated_for", "said", "name", "changed", "counts")
 }
 
@@ -53,7 +53,7 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
     adapts = law.adapts and {"theta_initial", "theta_min", "theta_max"} <= hints.keys()
     params = _record(control_step.Params, {"law": module.Params, "line": type(line)}, ("watches",))
     state = module.State | None
-    memory = _record(Memory, {"law": state, "former": state, "proven": state}, TOLD)
+    memory = _record(Memory, {"law": state, "former": state, "proven": state}, NOT_IN_C)
     memory.__name__, memory.changes = "State", True
     others = {
         "Params": params,
@@ -62,27 +62,27 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
         "law_resumed": control_step.with_estimates if adapts else control_step.law_resumed,
         "watch_block": control_step.unwatched,
     }
-    made = with_places({**places_of(law, line), **others})
+    namespace = with_places({**places_of(law, line), **others})
     kinds = {control_step.Params: params, Memory: memory, Any | None: state}
-    for function in vars(made).values():
-        ours = getattr(function, "__module__", "") == control_step.__name__
-        if ours and isinstance(function, types.FunctionType):
-            own = function.__annotations__
-            own.update({argument: kinds.get(kind, kind) for argument, kind in own.items()})
+    for function in vars(namespace).values():
+        is_step = getattr(function, "__module__", "") == control_step.__name__
+        if is_step and isinstance(function, types.FunctionType):
+            annotations = function.__annotations__
+            annotations.update({argument: kinds.get(kind, kind) for argument, kind in annotations.items()})
 
     def designed(values: Values, law: Any, answered: bool = True) -> Any:
         whole = control_step.design(values, law, answered)
         return params(*(getattr(whole, name) for name in params._fields))
 
-    made.design = designed
-    return made
+    namespace.design = designed
+    return namespace
 
 
-def _record(template: Any, given: dict[str, Any], without: Collection[str] = ()) -> Any:
+def _record(template: Any, kinds: dict[str, Any], without: Collection[str] = ()) -> Any:
     """A NamedTuple with the fields of ``template``, other types of some, and ``without`` others."""
-    hints = {n: h for n, h in {**get_type_hints(template), **given}.items() if n not in without}
-    made: Any = collections.namedtuple(template.__name__, list(hints))  # type: ignore[misc]
-    made.__annotations__, made.__doc__ = hints, template.__doc__
+    hints = {n: h for n, h in {**get_type_hints(template), **kinds}.items() if n not in without}
+    record: Any = collections.namedtuple(template.__name__, list(hints))  # type: ignore[misc]
+    record.__annotations__, record.__doc__ = hints, template.__doc__
     comments = getattr(template, "template", template)  # of the fields
-    setattr(made, "template", comments)  # noqa: B010
-    return made
+    setattr(record, "template", comments)  # noqa: B010
+    return record

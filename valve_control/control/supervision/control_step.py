@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps one valve from reading to voltage: the supervisor's machine, for nodes, replay and exported C.
 
-All functions work on one ``Memory``, which they change, and on ``Params``, which they do not. binding.py puts
-the functions of a law, and of who runs the machine, in the places that are kept for them. The translator of
-export/ makes C of the same functions; it leaves out the calls of those that are marked as ``node_only``.
+All functions work on one ``Memory``, which they change, and on ``Params``, which they do not: of each part
+``memory`` has the state and ``p`` the parameters. binding.py puts the functions of a law, and of who runs the
+machine, in the places that are kept for them. The translator of export/ makes C of the same functions; it
+leaves out the calls of those that are marked as ``node_only``.
 """
 
 import math
@@ -33,7 +34,7 @@ from valve_control.control.supervision import (
     watch_table,
 )
 from valve_control.control.supervision import trajectory as points
-from valve_control.control.supervision.record import (
+from valve_control.control.supervision.memory import (
     LATCH,
     NEVER,
     Memory,
@@ -53,6 +54,7 @@ from valve_control.parameter import Values, number, word
 BOTH = "spool_command is ignored while spool_trajectory commands"
 OVERDUE = 2.5  # periods since the last reading, from which the driver may have stood still
 CATCH_UP = 0.25  # of a period for each reading, by which such a time is made up for without a kink
+NOT_FINITE = "the control law {} produced NaN or infinity after {:.3f} s"
 NOISE = 0.25  # of ``lvdt.tolerance``, way of the spool that may be noise
 PATIENCE = 0.5  # s without a point after which commands are taken again, where silence is none that is missed
 
@@ -131,12 +133,12 @@ def amplified(p: Params, voltage: float) -> float:
 
 
 @node_only
-def hand_out(voltage: float) -> None:
+def give_voltage(voltage: float) -> None:
     """Place of what is done with the voltage [V] as soon as it is certain."""
 
 
 @node_only
-def observe(m: Memory, terms: Any, voltage: float) -> None:
+def observe(memory: Memory, terms: Any, voltage: float) -> None:
     """Place of what is done with a law's step afterwards."""
 
 
@@ -163,170 +165,176 @@ def linearised(p: Params, voltage: float) -> float:
 # Inputs
 
 
-def command(p: Params, m: Memory, value: float, stamp: float, since: float) -> None:
+def command(p: Params, memory: Memory, value: float, stamp: float, since: float) -> None:
     """Take in a command ``value`` [V], sent at ``stamp`` [s] of its sender's clock.
 
     It came ``since`` [s] after the last reading. Without one of both (NaN) it is that of the next sample. It
     is limited; one that is not finite is refused, and any while a trajectory commands.
     """
     if not math.isfinite(value):
-        m.command = command_watch.taken(p.command, m.command, value, m.now)
-        count(m, "command_refused")
-        latch(m, "command_refused", f"command {value} refused, the last one holds")
+        memory.command = command_watch.taken(p.command, memory.command, value, memory.now)
+        count(memory, "command_refused")
+        latch(memory, "command_refused", f"command {value} refused, the last one holds")
         return
-    if follows_trajectory(p, m):
-        latch(m, "command_both", BOTH)
+    if follows_trajectory(p, memory):
+        latch(memory, "command_both", BOTH)
         return
-    m.trajectory = None
-    sent = sent_at(p, m, stamp, since)
-    before = m.course if m.command.homing is None else None
+    memory.trajectory = None
+    sent = sent_at(p, memory, stamp, since)
+    before = memory.course if memory.command.homing is None else None
     limited = saturate(value, p.course.limit)
-    m.course = command_course.taken(p.course, before, limited, sent, stamp if math.isfinite(stamp) else sent)
-    renew(p, m, value)
+    memory.course = command_course.taken(
+        p.course, before, limited, sent, stamp if math.isfinite(stamp) else sent
+    )
+    renew(p, memory, value)
 
 
-def sent_at(p: Params, m: Memory, stamp: float, since: float) -> float:
+def sent_at(p: Params, memory: Memory, stamp: float, since: float) -> float:
     """When [s] on the clock of the samples a message was sent; ``stamp`` and ``since`` as of ``command``.
 
     Readings tell how the clock of this process and that of the samples differ, messages that of the sender.
     """
     if not (math.isfinite(stamp) and math.isfinite(since)):
-        return m.now + p.course.period
-    came = m.clock + since
-    m.sender = clock.step(m.sender, came, came - stamp)
-    return stamp + clock.offset(m.sender) - clock.offset(m.pulse)
+        return memory.now + p.course.period
+    came = memory.clock + since
+    memory.sender = clock.step(memory.sender, came, came - stamp)
+    return stamp + clock.offset(memory.sender) - clock.offset(memory.pulse)
 
 
-def trajectory(p: Params, m: Memory, point: points.Motion, stamp: float, since: float) -> bool:
+def trajectory(p: Params, memory: Memory, point: points.Motion, stamp: float, since: float) -> bool:
     """Take in a ``point`` of a trajectory; whether it can be used. Times as of ``command``."""
-    follows = follows_trajectory(p, m)
-    before = m.trajectory if follows else None
-    arrival = m.now + p.course.period
+    follows = follows_trajectory(p, memory)
+    before = memory.trajectory if follows else None
+    arrival = memory.now + p.course.period
     backwards = points.backwards(p.course, before, stamp, arrival)
     if not points.usable(point, backwards):
-        count(m, "command_refused")
-        latch(m, "command_refused", points.fault(point, backwards))
+        count(memory, "command_refused")
+        latch(memory, "command_refused", points.fault(point, backwards))
         return False
-    sent = sent_at(p, m, stamp, since)
+    sent = sent_at(p, memory, stamp, since)
     time = stamp if math.isfinite(stamp) else sent
-    m.trajectory = points.taken(p.course, before, point, sent, time, arrival)
-    m.course = None
-    renew(p, m, point.position)
+    memory.trajectory = points.taken(p.course, before, point, sent, time, arrival)
+    memory.course = None
+    renew(p, memory, point.position)
     return True
 
 
-def trajectory_gone(m: Memory) -> None:
+def trajectory_gone(memory: Memory) -> None:
     """Take commands again: the sender of the trajectory has left."""
-    m.trajectory = None
+    memory.trajectory = None
 
 
-def command_gone(m: Memory) -> None:
+def command_gone(memory: Memory) -> None:
     """Count the command as silent at once: the upper level has left."""
-    if m.command.gone_since is None:
-        m.command = m.command._replace(gone_since=m.now)
+    if memory.command.gone_since is None:
+        memory.command = memory.command._replace(gone_since=memory.now)
 
 
-def follows_trajectory(p: Params, m: Memory) -> bool:
+def follows_trajectory(p: Params, memory: Memory) -> bool:
     """Whether there is a trajectory that is not silent."""
-    if m.trajectory is None or m.command.gone_since is not None:
+    if memory.trajectory is None or memory.command.gone_since is not None:
         return False
     patience = PATIENCE if p.command.timeout == 0.0 else p.command.timeout
-    return m.now <= m.trajectory.arrival + patience
+    return memory.now <= memory.trajectory.arrival + patience
 
 
-def renew(p: Params, m: Memory, value: float) -> None:
+def renew(p: Params, memory: Memory, value: float) -> None:
     """The upper level has spoken: its command ``value`` [V] counts from the next sample on."""
-    m.command = command_watch.taken(p.command, m.command, value, m.now)
-    clear(m, "command_missing")
-    if m.command.value != value:
-        count(m, "command_limited")
-        latch(m, "command_limited", f"command {value:g} V limited to {m.command.value:g} V")
+    memory.command = command_watch.taken(p.command, memory.command, value, memory.now)
+    clear(memory, "command_missing")
+    if memory.command.value != value:
+        count(memory, "command_limited")
+        latch(memory, "command_limited", f"command {value:g} V limited to {memory.command.value:g} V")
 
 
-def silence(p: Params, m: Memory, elapsed: float, stalled: bool) -> float:
+def silence(p: Params, memory: Memory, elapsed: float, stalled: bool) -> float:
     """Switch off after ``elapsed`` [s] without a reading, too long to be bridged; returns the voltage [V].
 
     ``stalled``: readings have come, but this process stood still.
     """
-    m.now += elapsed
-    m.clock += elapsed
-    m.pulse = clock.NOTHING  # what is reported of the gap is less than it was
-    expire(m)
-    m.course = None
-    m.trust = m.trust._replace(sound=0)
-    if m.trust.blocked == "" and m.law is not None:
+    memory.now += elapsed
+    memory.clock += elapsed
+    memory.pulse = clock.NOTHING  # what is reported of the gap is less than it was
+    expire(memory)
+    memory.course = None
+    memory.trust = memory.trust._replace(sound=0)
+    if memory.trust.blocked == "" and memory.law is not None:
         name = "stalled" if stalled else "lvdt_silent"
-        leapt = has_leapt(m)
-        switch_off(p, m, name, leapt)
-        report(m, name, f"{lvdt.TEXTS[name]} for more than {p.lvdt.hold_samples} samples")
+        leapt = has_leapt(memory)
+        switch_off(p, memory, name, leapt)
+        report(memory, name, f"{lvdt.TEXTS[name]} for more than {p.lvdt.hold_samples} samples")
     return 0.0
 
 
-def reset(p: Params, m: Memory) -> None:
+def reset(p: Params, memory: Memory) -> None:
     """Set estimates and filters to their start, without a bump, and drop doubts about the LVDT."""
-    end_doubt(m)
-    forget_reported(m)
-    m.pause = cycle_watch.NEVER
-    m.former = None
-    if m.law is not None:
-        take_over(p, m, None, True)
+    end_doubt(memory)
+    forget_reported(memory)
+    memory.pause = cycle_watch.NEVER
+    memory.former = None
+    if memory.law is not None:
+        take_over(p, memory, None, True)
 
 
-def sample(p: Params, m: Memory, reading: float, lost: int, elapsed: float, unpaced: bool) -> float:
+def sample(p: Params, memory: Memory, reading: float, lost: int, elapsed: float, unpaced: bool) -> float:
     """Voltage [V] until the next reading, after this one [V], before which ``lost`` ones did not come.
 
     A reading that is not finite is bridged as one that cannot be believed. ``elapsed`` [s]: real time since
     the one before, 0 if it is not known; ``unpaced``: readings come at a wrong period.
     """
-    stood = overdue(p, m, reading, lost, elapsed)
+    stood = overdue(p, memory, reading, lost, elapsed)
     lost += stood
-    expected = m.now + p.lvdt.period
-    m.now += (1 + min(lost, p.lvdt.hold_samples)) * p.lvdt.period
-    m.clock += elapsed if elapsed > 0.0 else (1 + lost) * p.lvdt.period
-    if is_behind(p, m, elapsed):
-        m.pulse = m.pulse._replace(offset=m.pulse.offset + CATCH_UP * p.lvdt.period)
-    m.pulse = clock.NOTHING if unpaced else clock.step(m.pulse, m.clock, m.clock - m.now)
-    if lost > 0 and m.course is not None and m.course.stamp == expected == m.course.sent:
-        m.course = command_course.postponed(m.course, m.now)  # what came without a time meanwhile is of now
-    expire(m)
-    if m.now > m.jumped_until:
-        m.jumped_until = NEVER
-    blocked = m.trust.blocked != ""
-    fault, m.judged = lvdt.step(p.lvdt.judge, m.judged, reading, lost, m.voltage, blocked, elapsed)
+    expected = memory.now + p.lvdt.period
+    memory.now += (1 + min(lost, p.lvdt.hold_samples)) * p.lvdt.period
+    memory.clock += elapsed if elapsed > 0.0 else (1 + lost) * p.lvdt.period
+    if is_behind(p, memory, elapsed):
+        memory.pulse = memory.pulse._replace(offset=memory.pulse.offset + CATCH_UP * p.lvdt.period)
+    memory.pulse = (
+        clock.NOTHING if unpaced else clock.step(memory.pulse, memory.clock, memory.clock - memory.now)
+    )
+    if lost > 0 and memory.course is not None and memory.course.stamp == expected == memory.course.sent:
+        memory.course = command_course.postponed(memory.course, memory.now)  # without a stamp it is of now
+    expire(memory)
+    if memory.now > memory.jumped_until:
+        memory.jumped_until = NEVER
+    blocked = memory.trust.blocked != ""
+    fault, memory.judged = lvdt.step(
+        p.lvdt.judge, memory.judged, reading, lost, memory.voltage, blocked, elapsed
+    )
     if fault != lvdt.SOUND:
-        refuse(p, m, fault, lost)
-        return voltage_in_force(p, m)
-    gap = lost + m.trust.bridged
+        refuse(p, memory, fault, lost)
+        return voltage_in_force(p, memory)
+    gap = lost + memory.trust.bridged
     if gap > 0:
-        bridge(p, m, gap, reading)
-    if unpaced and m.trust.blocked == "":
-        switch_off(p, m, "lvdt_period", False)
-        report(m, "lvdt_period", rate.text(p.lvdt.pace, m.pace))
-    applied = m.voltage
-    if m.trust.blocked != "":
-        back = recover(p, m, reading, gap > 0 or unpaced or m.now < m.pause.until)
+        bridge(p, memory, gap, reading)
+    if unpaced and memory.trust.blocked == "":
+        switch_off(p, memory, "lvdt_period", False)
+        report(memory, "lvdt_period", rate.text(p.lvdt.pace, memory.pace))
+    applied = memory.voltage
+    if memory.trust.blocked != "":
+        back = recover(p, memory, reading, gap > 0 or unpaced or memory.now < memory.pause.until)
         if not back:
-            weigh(p, m, reading, applied, 1 + gap)
-            return voltage_in_force(p, m)
-    elif not answers(p, m, reading, 1 + gap):
-        return voltage_in_force(p, m)
-    if m.law is None:
-        begin(p, m, reading)
-    if not advance(p, m, 0, reading):
-        leave_the_finite(p, m)
-    voltage = m.voltage
-    m.measurement = reading
-    m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, reading)
-    weigh(p, m, reading, applied, 1 + gap)
-    if m.evidence is not None and m.evidence.held == 0.0:  # this reading was the last of a block
-        watch_block(p, m, applied, m.evidence.shown)
-        confront(p, m)
-    if m.law is not None and p.cycles.cycling.amplitude > 0.0:
-        watch_cycles(p, m, reading, voltage)
-    return voltage_in_force(p, m)
+            weigh(p, memory, reading, applied, 1 + gap)
+            return voltage_in_force(p, memory)
+    elif not answers(p, memory, reading, 1 + gap):
+        return voltage_in_force(p, memory)
+    if memory.law is None:
+        begin(p, memory, reading)
+    if not advance(p, memory, 0, reading):
+        leave_the_finite(p, memory)
+    voltage = memory.voltage
+    memory.measurement = reading
+    memory.velocity = velocity.step(p.lvdt.tachometer, memory.velocity, reading)
+    weigh(p, memory, reading, applied, 1 + gap)
+    if memory.evidence is not None and memory.evidence.held == 0.0:  # this reading was the last of a block
+        watch_block(p, memory, applied, memory.evidence.shown)
+        confront(p, memory)
+    if memory.law is not None and p.cycles.cycling.amplitude > 0.0:
+        watch_cycles(p, memory, reading, voltage)
+    return voltage_in_force(p, memory)
 
 
-def overdue(p: Params, m: Memory, reading: float, lost: int, elapsed: float) -> int:
+def overdue(p: Params, memory: Memory, reading: float, lost: int, elapsed: float) -> int:
     """Readings that did not come before this one [V], although no number is missing: the driver stood still.
 
     The spool has then moved for all of the ``elapsed`` [s]. Before a reading that only comes late, and others
@@ -334,412 +342,424 @@ def overdue(p: Params, m: Memory, reading: float, lost: int, elapsed: float) -> 
     """
     periods = elapsed / p.lvdt.period
     most = p.lvdt.hold_samples + 1.5
-    if lost > 0 or not OVERDUE <= periods < most or p.lvdt.pace.limit >= rate.ANY or m.law is None:
+    if lost > 0 or not OVERDUE <= periods < most or p.lvdt.pace.limit >= rate.ANY or memory.law is None:
         return 0
-    missing, way, gone = int(periods - 0.5), m.velocity.velocity * p.lvdt.period, reading - m.measurement
+    missing, way = int(periods - 0.5), memory.velocity.velocity * p.lvdt.period
+    gone = reading - memory.measurement
     least = max(abs(gone - (1 + missing) * way), 0.5 * abs(way) + NOISE * p.lvdt.judge.tolerance)
     return missing if abs(gone - way) > least else 0
 
 
-def is_behind(p: Params, m: Memory, elapsed: float) -> bool:
+def is_behind(p: Params, memory: Memory, elapsed: float) -> bool:
     """Whether the clock of the samples lacks a time in which the driver stood still, and the spool rested.
 
     Readings that came late in a burst make good what they lack; this one came in time, ``elapsed`` [s] after
     the one before.
     """
-    if m.pulse.messages == 0.0 or elapsed < rate.QUICK * p.lvdt.period:
+    if memory.pulse.messages == 0.0 or elapsed < rate.QUICK * p.lvdt.period:
         return False
-    behind = m.clock - m.now - m.pulse.offset
+    behind = memory.clock - memory.now - memory.pulse.offset
     return elapsed < OVERDUE * p.lvdt.period < behind
 
 
-def voltage_in_force(p: Params, m: Memory) -> float:
+def voltage_in_force(p: Params, memory: Memory) -> float:
     """Voltage [V] of the amplifier that is in force: 0 V while the law does not have the valve."""
-    if m.law is None:
+    if memory.law is None:
         return 0.0
-    return amplified(p, m.voltage)
+    return amplified(p, memory.voltage)
 
 
 # Readings that cannot be believed, or do not come
 
 
-def refuse(p: Params, m: Memory, fault: str, lost: int) -> None:
+def refuse(p: Params, memory: Memory, fault: str, lost: int) -> None:
     """Bridge a reading that cannot be believed, or switch off if there have been too many."""
-    count(m, "lvdt_refused")
-    m.trust = m.trust._replace(bridged=m.trust.bridged + 1 + lost, sound=0)
-    if m.trust.blocked != "":
+    count(memory, "lvdt_refused")
+    memory.trust = memory.trust._replace(bridged=memory.trust.bridged + 1 + lost, sound=0)
+    if memory.trust.blocked != "":
         return
-    if fault == "lvdt_frozen" or m.trust.bridged > p.lvdt.hold_samples:
-        switch_off(p, m, fault, False)
-        report(m, fault, f"{lvdt.TEXTS[fault]}{lvdt.lateness(m.judged)}")
+    if fault == "lvdt_frozen" or memory.trust.bridged > p.lvdt.hold_samples:
+        switch_off(p, memory, fault, False)
+        report(memory, fault, f"{lvdt.TEXTS[fault]}{lvdt.lateness(memory.judged)}")
         return
     if fault == "lvdt_jump":
-        m.jumped_until = m.now + LATCH
-    latch(m, f"{fault}_bridged", f"{lvdt.TEXTS[fault]}: bridged")
+        memory.jumped_until = memory.now + LATCH
+    latch(memory, f"{fault}_bridged", f"{lvdt.TEXTS[fault]}: bridged")
 
 
-def bridge(p: Params, m: Memory, gap: int, reading: float) -> None:
+def bridge(p: Params, memory: Memory, gap: int, reading: float) -> None:
     """Step the law over ``gap`` samples before a sound ``reading`` [V], or switch off."""
-    leapt = has_leapt(m)
-    m.trust = m.trust._replace(bridged=0)
-    if m.trust.blocked != "" or m.law is None:
+    leapt = has_leapt(memory)
+    memory.trust = memory.trust._replace(bridged=0)
+    if memory.trust.blocked != "" or memory.law is None:
         return
     if gap > p.lvdt.hold_samples:
-        switch_off(p, m, "lvdt_silent", leapt)
-        report(m, "lvdt_silent", f"{gap} LVDT readings lost in a row")
+        switch_off(p, memory, "lvdt_silent", leapt)
+        report(memory, "lvdt_silent", f"{gap} LVDT readings lost in a row")
         return
-    latch(m, "lvdt_bridged", "LVDT readings lost: bridged")
-    newest = m.command.value
-    finite = advance(p, m, gap, reading)
-    m.command = m.command._replace(value=newest)
+    latch(memory, "lvdt_bridged", "LVDT readings lost: bridged")
+    newest = memory.command.value
+    finite = advance(p, memory, gap, reading)
+    memory.command = memory.command._replace(value=newest)
     if not finite:
-        leave_the_finite(p, m)
+        leave_the_finite(p, memory)
 
 
-def answers(p: Params, m: Memory, reading: float, samples: int) -> bool:
+def answers(p: Params, memory: Memory, reading: float, samples: int) -> bool:
     """Whether the spool answers the voltage of the ``samples`` before ``reading`` [V]; else switch off."""
-    doubted = m.trust.doubt.times > 0.0
-    wrong, m.response = answer.step(
-        p.lvdt.judge, m.response, reading, m.judged.rate, m.voltage, samples, doubted
+    doubted = memory.trust.doubt.times > 0.0
+    wrong, memory.response = answer.step(
+        p.lvdt.judge, memory.response, reading, memory.judged.rate, memory.voltage, samples, doubted
     )
     if wrong == "" or p.lvdt.comparison is None or not p.answered:
-        if abs(m.response.pull) < answer.AGREED * p.lvdt.judge.disturbance and not doubted:
-            m.proven = m.law
+        if abs(memory.response.pull) < answer.AGREED * p.lvdt.judge.disturbance and not doubted:
+            memory.proven = memory.law
         return True
-    report(m, "lvdt_disagrees", f"{lvdt.TEXTS['disagrees']}: {plausibility.TEXTS[wrong]}")
-    switch_off(p, m, "lvdt_disagrees", False)
+    report(memory, "lvdt_disagrees", f"{lvdt.TEXTS['disagrees']}: {plausibility.TEXTS[wrong]}")
+    switch_off(p, memory, "lvdt_disagrees", False)
     return False
 
 
-def has_leapt(m: Memory) -> bool:
+def has_leapt(memory: Memory) -> bool:
     """Whether readings that are being bridged leapt: after a gap they would be taken for motion."""
-    return m.trust.bridged > 0 and m.jumped_until >= 0.0
+    return memory.trust.bridged > 0 and memory.jumped_until >= 0.0
 
 
 @node_only
-def watch_block(p: Params, m: Memory, applied: float, shown: plausibility.Shown) -> None:
+def watch_block(p: Params, memory: Memory, applied: float, shown: plausibility.Shown) -> None:
     """Let the watches of the table look at a block, at whose end ``applied`` [V] is on; it has ``shown``."""
-    command = m.effective if math.isfinite(m.effective) else 0.0
-    last, doubted = m.judged.standing, m.trust.doubt.times > 0.0
+    command = memory.effective if math.isfinite(memory.effective) else 0.0
+    last, doubted = memory.judged.standing, memory.trust.doubt.times > 0.0
     motion = shown.y3, shown.velocity, shown.u4, shown.warm == 0.0
     block = plausibility.Block(*motion, doubted, command, applied, last.second, last.grain)
-    reported_of(p.watches, m, block)
+    reported_of(p.watches, memory, block)
 
 
 @node_only
-def unwatched(p: Params, m: Memory, applied: float, shown: plausibility.Shown) -> None:
+def unwatched(p: Params, memory: Memory, applied: float, shown: plausibility.Shown) -> None:
     """Watches that only report, where nobody hears them: in C and its twin."""
 
 
-def weigh(p: Params, m: Memory, reading: float, applied: float, samples: int) -> None:
+def weigh(p: Params, memory: Memory, reading: float, applied: float, samples: int) -> None:
     """Compare one more ``reading`` [V] with ``applied`` [V], which was on for ``samples`` periods before."""
     if p.lvdt.comparison is None:
         return
-    if m.evidence is None:
-        m.evidence = plausibility.initial(p.lvdt.comparison, reading, applied)
-    m.evidence = plausibility.step(p.lvdt.comparison, m.evidence, reading, applied, float(samples))
+    if memory.evidence is None:
+        memory.evidence = plausibility.initial(p.lvdt.comparison, reading, applied)
+    memory.evidence = plausibility.step(p.lvdt.comparison, memory.evidence, reading, applied, float(samples))
 
 
-def confront(p: Params, m: Memory) -> None:
+def confront(p: Params, memory: Memory) -> None:
     """Switch off if readings and voltage have shown together that the readings are wrong."""
-    if p.lvdt.comparison is None or m.evidence is None or m.trust.blocked != "" or not p.answered:
+    if p.lvdt.comparison is None or memory.evidence is None or memory.trust.blocked != "" or not p.answered:
         return
-    found, doubt = plausibility.verdict(p.lvdt.comparison, m.evidence, m.trust.doubt)
-    if found == "gain" and cycle_watch.unexplained(m.cycle, m.swing):
+    found, doubt = plausibility.verdict(p.lvdt.comparison, memory.evidence, memory.trust.doubt)
+    if found == "gain" and cycle_watch.unexplained(memory.cycle, memory.swing):
         return  # even cycles have a gain of their own if readings are late
     if found != "":
         report(
-            m,
+            memory,
             "lvdt_disagrees",
             f"{lvdt.TEXTS['disagrees']}: "
-            f"{plausibility.words(found, p.lvdt.comparison, m.evidence, m.trust.doubt)}",
+            f"{plausibility.words(found, p.lvdt.comparison, memory.evidence, memory.trust.doubt)}",
         )
-        switch_off(p, m, "lvdt_disagrees", False)
-    elif doubt.times != m.trust.doubt.times:
-        end_doubt(m)
+        switch_off(p, memory, "lvdt_disagrees", False)
+    elif doubt.times != memory.trust.doubt.times:
+        end_doubt(memory)
 
 
-def end_doubt(m: Memory) -> None:
+def end_doubt(memory: Memory) -> None:
     """Trust the LVDT again."""
-    m.trust = m.trust._replace(doubt=plausibility.TRUST)
-    clear(m, "lvdt_doubted")
+    memory.trust = memory.trust._replace(doubt=plausibility.TRUST)
+    clear(memory, "lvdt_doubted")
 
 
 # Cycles of the voltage
 
 
-def watch_cycles(p: Params, m: Memory, reading: float, voltage: float) -> None:
+def watch_cycles(p: Params, memory: Memory, reading: float, voltage: float) -> None:
     """Look for even cycles in the ``voltage`` [V] after ``reading`` [V], and measure them while they last."""
-    cycles, swings, rising = m.cycle.cycles, m.swing.cycles, m.cycle.command_rising
-    m.cycle = oscillation.step(p.cycles.cycling, m.cycle, m.now, voltage, m.effective)
-    full = p.cycles.full if m.trust.doubt.times == 0.0 else p.cycles.doubted
-    if abs(voltage) >= full.amplitude or m.cycle.command_rising != rising:
-        m.swing = oscillation.step(full, m.swing, m.now, voltage, m.effective)
-    if m.probe.frequency > 0.0:
-        m.probe = lock_in.step(m.probe, voltage, reading, p.lvdt.period)
-    if m.cycle.cycles != cycles:
-        judge_cycles(p, m, m.cycle, full.amplitude)
-    if m.swing.cycles != swings and m.law is not None:
-        judge_cycles(p, m, m.swing, full.amplitude)
+    cycles, swings, rising = memory.cycle.cycles, memory.swing.cycles, memory.cycle.command_rising
+    memory.cycle = oscillation.step(p.cycles.cycling, memory.cycle, memory.now, voltage, memory.effective)
+    full = p.cycles.full if memory.trust.doubt.times == 0.0 else p.cycles.doubted
+    if abs(voltage) >= full.amplitude or memory.cycle.command_rising != rising:
+        memory.swing = oscillation.step(full, memory.swing, memory.now, voltage, memory.effective)
+    if memory.probe.frequency > 0.0:
+        memory.probe = lock_in.step(memory.probe, voltage, reading, p.lvdt.period)
+    if memory.cycle.cycles != cycles:
+        judge_cycles(p, memory, memory.cycle, full.amplitude)
+    if memory.swing.cycles != swings and memory.law is not None:
+        judge_cycles(p, memory, memory.swing, full.amplitude)
 
 
-def judge_cycles(p: Params, m: Memory, cycle: oscillation.State, high: float) -> None:
+def judge_cycles(p: Params, memory: Memory, cycle: oscillation.State, high: float) -> None:
     """Report ``cycle`` after one more in a row, and its source; ``high`` [V]: amplitude of saturated ones.
 
     Switch off if they stay saturated.
     """
-    if max(m.cycle.cycles, m.swing.cycles) < cycle_watch.BEGUN:
-        m.probe = lock_in.NOTHING
-        m.source = ""
+    if max(memory.cycle.cycles, memory.swing.cycles) < cycle_watch.BEGUN:
+        memory.probe = lock_in.NOTHING
+        memory.source = ""
     if cycle.cycles < cycle_watch.BEGUN or oscillation.explained(cycle):
         return
-    if m.probe.frequency == 0.0:
-        m.probe = lock_in.begun(1.0 / cycle.length, p.lvdt.period)
+    if memory.probe.frequency == 0.0:
+        memory.probe = lock_in.begun(1.0 / cycle.length, p.lvdt.period)
         return
-    if not oscillation.sustained(cycle) or not lock_in.finished(m.probe):
+    if not oscillation.sustained(cycle) or not lock_in.finished(memory.probe):
         return
-    found = lock_in.found(p.lvdt.judge, m.probe)
-    m.source = cycle_watch.source(cycle, found, high, m.judged.standing.grain)
-    latch(m, m.source, cycle_watch.text(m.source, cycle, found), max(LATCH, 2.0 * cycle.length))
+    found = lock_in.found(p.lvdt.judge, memory.probe)
+    memory.source = cycle_watch.source(cycle, found, high, memory.judged.standing.grain)
+    latch(
+        memory, memory.source, cycle_watch.text(memory.source, cycle, found), max(LATCH, 2.0 * cycle.length)
+    )
     if p.answered and oscillation.amplitude(cycle) >= high and cycle_watch.lasts(cycle):
-        report(m, "limit_cycle", cycle_watch.stop_text(m.source, cycle, found))
-        m.pause = cycle_watch.paused(p.lvdt, m.pause, m.now)
-        switch_off(p, m, "limit_cycle", False)
+        report(memory, "limit_cycle", cycle_watch.stop_text(memory.source, cycle, found))
+        memory.pause = cycle_watch.paused(p.lvdt, memory.pause, memory.now)
+        switch_off(p, memory, "limit_cycle", False)
 
 
 # Off and on again
 
 
-def leave_the_finite(p: Params, m: Memory) -> None:
+def leave_the_finite(p: Params, memory: Memory) -> None:
     """Switch off for a while: the law has produced NaN or infinity, or raised an error."""
-    count(m, "law_not_finite")
-    m.pause = cycle_watch.paused(p.lvdt, m.pause, m.now)
-    switch_off(p, m, "law_not_finite", False)
-    report(m, "law_not_finite", f"the control law {m.name} produced NaN or infinity after {m.now:.3f} s")
-    m.former = None
+    count(memory, "law_not_finite")
+    memory.pause = cycle_watch.paused(p.lvdt, memory.pause, memory.now)
+    switch_off(p, memory, "law_not_finite", False)
+    report(memory, "law_not_finite", NOT_FINITE.format(memory.name, memory.now))
+    memory.former = None
 
 
-def switch_off(p: Params, m: Memory, name: str, leapt: bool) -> None:
+def switch_off(p: Params, memory: Memory, name: str, leapt: bool) -> None:
     """Give 0 V because of ``name``; ``leapt``: readings had leapt."""
-    doubt = m.trust.doubt
+    doubt = memory.trust.doubt
     if (leapt or name in lvdt_trust.DOUBTS) and p.lvdt.comparison is not None and p.answered:
-        doubt = plausibility.doubted(doubt, m.evidence, m.now, p.lvdt.hold_off, p.lvdt.hold_off_limit)
-        clear(m, "lvdt_doubted")
-    m.trust = m.trust._replace(sound=0, blocked=name, doubt=doubt)
-    count(m, "safe_stops")
-    m.voltage = p.neutral
-    m.former = m.law if doubt.times == 0.0 else m.proven
-    m.law = None
-    m.response = answer.NOTHING
-    m.transfer = bumpless_transfer.NOTHING
-    m.fading = False
-    m.lead = None
-    m.course = None
-    m.cycle = oscillation.NOTHING  # switching on and off is no limit cycle of law and valve
-    m.swing = oscillation.NOTHING
-    m.probe = lock_in.NOTHING
-    m.source = ""
-    forget_saturation(m)
-    stop_reporting(m)
+        doubt = plausibility.doubted(
+            doubt, memory.evidence, memory.now, p.lvdt.hold_off, p.lvdt.hold_off_limit
+        )
+        clear(memory, "lvdt_doubted")
+    memory.trust = memory.trust._replace(sound=0, blocked=name, doubt=doubt)
+    count(memory, "safe_stops")
+    memory.voltage = p.neutral
+    memory.former = memory.law if doubt.times == 0.0 else memory.proven
+    memory.law = None
+    memory.response = answer.NOTHING
+    memory.transfer = bumpless_transfer.NOTHING
+    memory.fading = False
+    memory.lead = None
+    memory.course = None
+    memory.cycle = oscillation.NOTHING  # switching on and off is no limit cycle of law and valve
+    memory.swing = oscillation.NOTHING
+    memory.probe = lock_in.NOTHING
+    memory.source = ""
+    forget_saturation(memory)
+    stop_reporting(memory)
 
 
-def recover(p: Params, m: Memory, reading: float, anew: bool) -> bool:
+def recover(p: Params, memory: Memory, reading: float, anew: bool) -> bool:
     """Whether the law has the valve again: enough sound readings have come, and the spool is at rest.
 
     ``anew``: the count begins with this one. At the end the motion is that of the reading before: the law
     takes in the present one in its first step.
     """
-    sound = 0 if anew else m.trust.sound
+    sound = 0 if anew else memory.trust.sound
     if sound == 0:
-        m.measurement = reading
-        m.velocity = velocity.State(reading, 0.0)
+        memory.measurement = reading
+        memory.velocity = velocity.State(reading, 0.0)
         if p.lvdt.comparison is not None:
-            usual = 0.0 if m.evidence is None else m.evidence.shown.usual
-            m.evidence = plausibility.initial(p.lvdt.comparison, reading, 0.0, usual)
-    speed = abs(m.velocity.velocity)
+            usual = 0.0 if memory.evidence is None else memory.evidence.shown.usual
+            memory.evidence = plausibility.initial(p.lvdt.comparison, reading, 0.0, usual)
+    speed = abs(memory.velocity.velocity)
     resting = speed <= lvdt_trust.REST or sound * p.lvdt.period >= lvdt_trust.REST_LIMIT
-    m.trust = m.trust._replace(sound=sound + 1)
-    if m.trust.sound < p.lvdt.recovery_samples or not resting or m.now < m.trust.doubt.until:
-        m.measurement = reading
-        m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, reading)
+    memory.trust = memory.trust._replace(sound=sound + 1)
+    if memory.trust.sound < p.lvdt.recovery_samples or not resting or memory.now < memory.trust.doubt.until:
+        memory.measurement = reading
+        memory.velocity = velocity.step(p.lvdt.tachometer, memory.velocity, reading)
         return False
-    if m.evidence is not None:
-        m.evidence = plausibility.anew(m.evidence)
-    clear(m, m.trust.blocked)
-    m.trust = m.trust._replace(blocked="")
-    if m.trust.doubt.times > 0.0:
-        report(m, "lvdt_doubted", lvdt.TEXTS["doubted"])
-    welcome(p, m, reading)
-    take_over(p, m, m.former, False)
+    if memory.evidence is not None:
+        memory.evidence = plausibility.anew(memory.evidence)
+    clear(memory, memory.trust.blocked)
+    memory.trust = memory.trust._replace(blocked="")
+    if memory.trust.doubt.times > 0.0:
+        report(memory, "lvdt_doubted", lvdt.TEXTS["doubted"])
+    welcome(p, memory, reading)
+    take_over(p, memory, memory.former, False)
     return True
 
 
-def welcome(p: Params, m: Memory, reading: float) -> None:
+def welcome(p: Params, memory: Memory, reading: float) -> None:
     """Let the law hold the valve at ``reading`` [V] until a command comes."""
-    clear(m, "lvdt_missing")
-    m.command = command_watch.welcomed(p.command, m.command, reading, m.now)
-    if m.command.homing is not None:
-        report(m, "command_silent", command_watch.SILENT)
-    if m.command.value is None:
-        report(m, "command_missing", "no command yet")
+    clear(memory, "lvdt_missing")
+    memory.command = command_watch.welcomed(p.command, memory.command, reading, memory.now)
+    if memory.command.homing is not None:
+        report(memory, "command_silent", command_watch.SILENT)
+    if memory.command.value is None:
+        report(memory, "command_missing", "no command yet")
 
 
-def begin(p: Params, m: Memory, reading: float) -> None:
+def begin(p: Params, memory: Memory, reading: float) -> None:
     """Start the law: as offline if all is at rest, without a bump if spool or command are elsewhere."""
-    m.measurement = reading
-    m.velocity = velocity.State(reading, 0.0)
-    m.voltage = p.neutral
-    welcome(p, m, reading)
-    wanted = 0.0 if m.command.value is None else m.command.value
+    memory.measurement = reading
+    memory.velocity = velocity.State(reading, 0.0)
+    memory.voltage = p.neutral
+    welcome(p, memory, reading)
+    wanted = 0.0 if memory.command.value is None else memory.command.value
     if p.lockstep or max(abs(reading), abs(wanted)) <= p.lvdt.judge.tolerance:
-        m.law = law_initial(p.law, Start(reading, m.voltage, reading, 0.0, 0.0))
+        memory.law = law_initial(p.law, Start(reading, memory.voltage, reading, 0.0, 0.0))
     else:
-        take_over(p, m, None, False)
+        take_over(p, memory, None, False)
 
 
-def take_over(p: Params, m: Memory, former: Any | None, following: bool) -> None:
+def take_over(p: Params, memory: Memory, former: Any | None, following: bool) -> None:
     """Start the law where the spool is, with the estimates of its ``former`` state.
 
     ``following``: the spool has been following the command until now.
     """
-    follow(p, m, m.now)
-    y, v = m.measurement, m.velocity.velocity
-    start = Start(y, m.voltage, y, v, v)
-    base = target(p, m)  # which may end a way home and begin an offset
-    base -= m.transfer.command.value
+    follow(p, memory, memory.now)
+    y, v = memory.measurement, memory.velocity.velocity
+    start = Start(y, memory.voltage, y, v, v)
+    base = target(p, memory)  # which may end a way home and begin an offset
+    base -= memory.transfer.command.value
     held, left = law_steady_command(p.law, start), 0.0
     # A spool that follows has the rate of the command; one from elsewhere has to lose its own.
     offset = bumpless_transfer.Offset(held - base, 0.0)
     if not following:
         offset, left = bumpless_transfer.Offset(0.0, v), bumpless_transfer.JOINING * p.transfer.time
     law = p.law if former is None else law_resumed(p.law, former)
-    m.law = law_initial(law, start)
-    m.transfer = bumpless_transfer.State(m.transfer.voltage, offset, True, held, left)
-    m.fading = True
+    memory.law = law_initial(law, start)
+    memory.transfer = bumpless_transfer.State(memory.transfer.voltage, offset, True, held, left)
+    memory.fading = True
 
 
-def go_on(p: Params, m: Memory, former: Any, reference: Any) -> None:
+def go_on(p: Params, memory: Memory, former: Any, reference: Any) -> None:
     """Start the law where the spool is, with the estimates of the ``former`` state of another.
 
     ``reference``: the one that this law followed, with its rate.
     """
-    follow(p, m, m.now)
-    y, v = m.measurement, m.velocity.velocity
-    start = Start(y, m.voltage, reference.reference, reference.rate, v)
-    target(p, m)
-    m.law = law_initial(law_resumed(p.law, former), start)
-    m.transfer = m.transfer._replace(taking_over=True)
-    m.fading = True
+    follow(p, memory, memory.now)
+    y, v = memory.measurement, memory.velocity.velocity
+    start = Start(y, memory.voltage, reference.reference, reference.rate, v)
+    target(p, memory)
+    memory.law = law_initial(law_resumed(p.law, former), start)
+    memory.transfer = memory.transfer._replace(taking_over=True)
+    memory.fading = True
 
 
 # The law
 
 
-def advance(p: Params, m: Memory, gap: int, reading: float) -> bool:
+def advance(p: Params, memory: Memory, gap: int, reading: float) -> bool:
     """Run ``hold`` over a ``gap`` before ``reading`` [V], or ``control`` if there is none, and catch errors.
 
     False if it produced NaN or infinity, or raised an error: C goes on with what it computes instead.
     """
     try:
         if gap > 0:
-            hold(p, m, gap, reading)
+            hold(p, memory, gap, reading)
             return True
-        return control(p, m, reading)
+        return control(p, memory, reading)
     except Exception as error:  # a law of another package may raise any
-        report(m, "law_not_finite", f"the control law {m.name} raised {in_words(error)} after {m.now:.3f} s")
+        text = f"the control law {memory.name} raised {in_words(error)} after {memory.now:.3f} s"
+        report(memory, "law_not_finite", text)
         return False
 
 
-def hold(p: Params, m: Memory, gap: int, reading: float) -> None:
+def hold(p: Params, memory: Memory, gap: int, reading: float) -> None:
     """Step the law over ``gap`` samples without a reading, on a straight line to ``reading`` [V]."""
-    slope = (reading - m.measurement) / (gap + 1)
-    newest, used = m.command.value, m.used
+    slope = (reading - memory.measurement) / (gap + 1)
+    newest, used = memory.command.value, memory.used
     for i in range(1, gap + 1):
-        between = m.measurement + i * slope
-        now = m.now - (gap + 1 - i) * p.lvdt.period
-        if m.trajectory is not None or (m.course is not None and m.course.stamp != m.course.sent):
-            follow(p, m, now)
-        elif newest is not None and used is not None and m.command.homing is None:
-            m.command = m.command._replace(value=used + i * (newest - used) / (gap + 1))
-        m.velocity = velocity.step(p.lvdt.tachometer, m.velocity, between)
-        wanted = taken_in(p, m)
-        m.law = law_hold(p.law, m.law, wanted, between, m.voltage)
-        if m.fading:
-            fade(p, m)
+        between = memory.measurement + i * slope
+        now = memory.now - (gap + 1 - i) * p.lvdt.period
+        if memory.trajectory is not None or (
+            memory.course is not None and memory.course.stamp != memory.course.sent
+        ):
+            follow(p, memory, now)
+        elif newest is not None and used is not None and memory.command.homing is None:
+            memory.command = memory.command._replace(value=used + i * (newest - used) / (gap + 1))
+        memory.velocity = velocity.step(p.lvdt.tachometer, memory.velocity, between)
+        wanted = taken_in(p, memory)
+        memory.law = law_hold(p.law, memory.law, wanted, between, memory.voltage)
+        if memory.fading:
+            fade(p, memory)
 
 
-def control(p: Params, m: Memory, reading: float) -> bool:
-    """Compute one step of the law and hand out its voltage; False, and none, if it is not finite."""
+def control(p: Params, memory: Memory, reading: float) -> bool:
+    """Compute one step of the law and give its voltage; False, and none, if it is not finite."""
     law = p.law
-    if m.trust.doubt.times != 0.0 and p.lvdt.comparison is not None:
+    if memory.trust.doubt.times != 0.0 and p.lvdt.comparison is not None:
         law = law._replace(u_max=min(law.u_max, p.probation))
-    follow(p, m, m.now)
-    wanted = taken_in(p, m)
-    m.effective = wanted
-    m.used = m.command.value
-    if m.transfer.taking_over:
-        _, _, first = law_step(law, m.law, wanted, reading, 0.0)
-        offset = bumpless_transfer.Offset(m.voltage - first.unsaturated_voltage, 0.0)
-        m.transfer = m.transfer._replace(voltage=offset, taking_over=False)
-        m.fading = True
-    voltage, after, terms = law_step(law, m.law, wanted, reading, m.transfer.voltage.value)
+    follow(p, memory, memory.now)
+    wanted = taken_in(p, memory)
+    memory.effective = wanted
+    memory.used = memory.command.value
+    if memory.transfer.taking_over:
+        _, _, first = law_step(law, memory.law, wanted, reading, 0.0)
+        offset = bumpless_transfer.Offset(memory.voltage - first.unsaturated_voltage, 0.0)
+        memory.transfer = memory.transfer._replace(voltage=offset, taking_over=False)
+        memory.fading = True
+    voltage, after, terms = law_step(law, memory.law, wanted, reading, memory.transfer.voltage.value)
     if not are_finite(voltage, terms):
         return False
-    m.voltage = voltage
-    hand_out(amplified(p, voltage))
-    m.law = after
-    observe(m, terms, voltage)
-    if m.fading:
-        fade(p, m)
+    memory.voltage = voltage
+    give_voltage(amplified(p, voltage))
+    memory.law = after
+    observe(memory, terms, voltage)
+    if memory.fading:
+        fade(p, memory)
     return True
 
 
-def fade(p: Params, m: Memory) -> None:
+def fade(p: Params, memory: Memory) -> None:
     """Let both offsets of a takeover decay by one period."""
-    m.transfer = bumpless_transfer.step(p.transfer, m.transfer)
-    voltage, command = m.transfer.voltage, m.transfer.command
-    m.fading = m.transfer.left > 0.0 or (
+    memory.transfer = bumpless_transfer.step(p.transfer, memory.transfer)
+    voltage, command = memory.transfer.voltage, memory.transfer.command
+    memory.fading = memory.transfer.left > 0.0 or (
         voltage.value != 0.0 or voltage.rate != 0.0 or command.value != 0.0 or command.rate != 0.0
     )
 
 
-def follow(p: Params, m: Memory, now: float) -> None:
+def follow(p: Params, memory: Memory, now: float) -> None:
     """The command in force is that of trajectory or course at ``now`` [s], if there is one."""
-    if m.trajectory is not None:
-        m.motion = points.motion(p.course, m.trajectory, now)
-        m.command = command_watch.moved(m.command, m.motion.position)
-    elif m.course is not None and m.command.homing is None:
-        m.command = command_watch.moved(m.command, command_course.value(p.course, m.course, now))
+    if memory.trajectory is not None:
+        memory.motion = points.motion(p.course, memory.trajectory, now)
+        memory.command = command_watch.moved(memory.command, memory.motion.position)
+    elif memory.course is not None and memory.command.homing is None:
+        memory.command = command_watch.moved(
+            memory.command, command_course.value(p.course, memory.course, now)
+        )
 
 
-def taken_in(p: Params, m: Memory) -> float:
+def taken_in(p: Params, memory: Memory) -> float:
     """Command [V] of this sample as the law gets it, after its lead has followed it."""
-    value = m.command.value
-    if m.trajectory is not None:
-        m.lead = None
+    value = memory.command.value
+    if memory.trajectory is not None:
+        memory.lead = None
     elif p.lead is not None and value is not None:
-        before = command_lead.initial(value) if m.lead is None else m.lead
-        m.lead = command_lead.step(p.lead, before, value)
-    wanted = target(p, m)
-    return bumpless_transfer.joined(p.transfer, m.transfer, wanted)
+        before = command_lead.initial(value) if memory.lead is None else memory.lead
+        memory.lead = command_lead.step(p.lead, before, value)
+    wanted = target(p, memory)
+    return bumpless_transfer.joined(p.transfer, memory.transfer, wanted)
 
 
-def target(p: Params, m: Memory) -> float:
+def target(p: Params, memory: Memory) -> float:
     """Command [V] of this sample, with its lead or its derivatives, and with its offset."""
-    homing = m.command.homing is not None
-    wanted, m.command, offset = command_watch.step(p.command, m.command, m.transfer.command, m.now)
-    if homing != (m.command.homing is not None):
+    homing = memory.command.homing is not None
+    wanted, memory.command, offset = command_watch.step(
+        p.command, memory.command, memory.transfer.command, memory.now
+    )
+    if homing != (memory.command.homing is not None):
         if homing:
-            m.transfer = m.transfer._replace(command=offset)
-            m.fading = True
-            clear(m, "command_silent")
+            memory.transfer = memory.transfer._replace(command=offset)
+            memory.fading = True
+            clear(memory, "command_silent")
         else:
-            report(m, "command_silent", command_watch.SILENT)
-    value = m.command.value
-    if value is None or m.command.homing is not None:
+            report(memory, "command_silent", command_watch.SILENT)
+    value = memory.command.value
+    if value is None or memory.command.homing is not None:
         return wanted
-    if m.trajectory is not None and p.reshapes:
-        return law_commanded(p.law, m.motion) + m.transfer.command.value
-    if p.lead is None or m.lead is None:
+    if memory.trajectory is not None and p.reshapes:
+        return law_commanded(p.law, memory.motion) + memory.transfer.command.value
+    if p.lead is None or memory.lead is None:
         return wanted
-    return command_lead.led(p.lead, m.lead, value) + m.transfer.command.value
+    return command_lead.led(p.lead, memory.lead, value) + memory.transfer.command.value

@@ -57,14 +57,7 @@ def design(values: Values, c: plausibility.Params) -> Params:
     own = 1.0 / math.sqrt(c.a0)
     span = EVERY * c.span
     entries = FORGET * own / span
-    return Params(
-        math.exp(-1.0 / entries),
-        ENOUGH * entries,
-        LASTING * entries,
-        SLOW * SLOW * c.a0,
-        span,
-        c,
-    )
+    return Params(math.exp(-1.0 / entries), ENOUGH * entries, LASTING * entries, SLOW * SLOW * c.a0, span, c)
 
 
 def step(p: Params, s: State, block: Block) -> State:

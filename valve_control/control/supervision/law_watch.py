@@ -5,7 +5,7 @@
 import itertools
 from collections.abc import Sequence
 
-from valve_control.control.supervision.record import Memory, clear, report
+from valve_control.control.supervision.memory import Memory, clear, report
 
 ASSUMPTIONS = {
     "lyapunov": "V2 is above its guaranteed bound: the valve has left the assumed parameter ranges or "
@@ -15,18 +15,18 @@ ASSUMPTIONS = {
 }  # what is said when a term of the law is above the one of its name with _bound
 
 
-def step(m: Memory, voltage: float, u_max: float, period: float, longest: float) -> None:
+def step(memory: Memory, voltage: float, u_max: float, period: float, longest: float) -> None:
     """Take in the ``voltage`` [V] of one sample, within ``u_max`` [V]; ``longest`` [s] may it saturate."""
     if abs(voltage) >= u_max:
-        m.saturated_for = min(m.saturated_for + period, 2.0 * longest)
-        if m.saturated_for > longest:
-            report(m, "saturation", f"saturated for more than {longest:g} s")
-        m.counts["saturated"] += 1
-    elif m.saturated_for > 0.0:
+        memory.saturated_for = min(memory.saturated_for + period, 2.0 * longest)
+        if memory.saturated_for > longest:
+            report(memory, "saturation", f"saturated for more than {longest:g} s")
+        memory.counts["saturated"] += 1
+    elif memory.saturated_for > 0.0:
         # Noise lifts single samples off the limit: time without saturation counts against time with it.
-        m.saturated_for = max(0.0, m.saturated_for - period)
-        if m.saturated_for == 0.0:
-            clear(m, "saturation")
+        memory.saturated_for = max(0.0, memory.saturated_for - period)
+        if memory.saturated_for == 0.0:
+            clear(memory, "saturation")
 
 
 def watched(fields: Sequence[str]) -> tuple[int, str] | None:

@@ -129,17 +129,10 @@ class Doubt(NamedTuple):
 
 
 TRUST = Doubt(0.0, 0.0, 0.0)
-
-
 NOTHING = Sums(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def design(
-    theta: tuple[float, float, float],
-    period: float,
-    slow: float,
-    excitation: float,
-) -> Params:
+def design(theta: tuple[float, float, float], period: float, slow: float, excitation: float) -> Params:
     """Watch with the model ``theta`` (a1 [1/s], a0, b0 [1/s²]) at ``period`` [s]; the rest in V, V/s."""
     a1, a0, b0 = theta
     own = 1.0 / math.sqrt(a0)

@@ -12,7 +12,7 @@ import typing
 from typing import Any, NamedTuple
 
 from valve_control.control.laws.registry import LAWS
-from valve_control.control.supervision.record import KEPT, NEVER, Memory
+from valve_control.control.supervision.memory import KEPT, NEVER, Memory
 from valve_control.control.supervision.supervisor import Supervisor
 from valve_control.parameter import Values
 

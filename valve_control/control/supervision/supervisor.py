@@ -9,7 +9,7 @@ degraded  the law has the valve, but something is reported: a silent or refused 
           long saturation, a limit cycle, a broken assumption, a second publisher;
 safe      0 V: the LVDT is implausible, the law gave NaN or infinity, or even cycles reach ±u_max.
 
-The steps are in control_step.py, functions on one memory (record.py), from which exported C is made too;
+The steps are in control_step.py, functions on one memory (memory.py), from which exported C is made too;
 binding.py puts the functions of the law into them. Here is what only a node has: other laws and parameters,
 the period of the readings, counters and telemetry.
 
@@ -38,7 +38,7 @@ from valve_control.control.supervision import (
     trajectory,
 )
 from valve_control.control.supervision.journal import OBSERVED, TYPES, Event
-from valve_control.control.supervision.record import (
+from valve_control.control.supervision.memory import (
     HEAD,
     Memory,
     Mode,
@@ -100,69 +100,65 @@ class Supervisor:
 
     def apply(self, values: Values, params: Any) -> None:
         """Take checked ``values`` and the law's ``params`` built from them into use, between two samples."""
-        m, made, sent = self.memory, control_step.design(values, params, self.answered), self.voltage
+        memory, made, sent = self.memory, control_step.design(values, params, self.answered), self.voltage
         former = self.params if self._form else None
         self.values, self.params = values, made
         self._saturation_limit = number(values, "saturation_limit")
         curve_changed = former is not None and made.line != former.line
         if former is not None and (made.lvdt.comparison != former.lvdt.comparison or curve_changed):
-            m.evidence = None
-            forget_reported(m, made.lvdt.comparison is None)
+            memory.evidence = None
+            forget_reported(memory, made.lvdt.comparison is None)
         if former is not None and made.lvdt.period != former.lvdt.period:
-            m.pace = rate.UNKNOWN._replace(means=m.pace.means)
-            clear(m, "lvdt_rate")
-        if (
-            former is None
-            or former.lead is None
-            or made.lead is None
-            or former.lead.period != made.lead.period
-        ):
-            m.lead = None
+            memory.pace = rate.UNKNOWN._replace(means=memory.pace.means)
+            clear(memory, "lvdt_rate")
+        lead = None if former is None else former.lead
+        if lead is None or made.lead is None or lead.period != made.lead.period:
+            memory.lead = None
         if curve_changed:  # the law's voltage has another unit, and its estimates are those of another valve
-            m.voltage = linearisation.given(values, sent)
-            control_step.end_doubt(m)
-            m.cycle = m.swing = oscillation.NOTHING
-            m.probe = lock_in.NOTHING
-            m.former, m.kept = None, ("", None)
-        m.voltage = saturate(m.voltage, params.u_max)
-        if m.command.value is not None:
-            m.command = m.command._replace(value=saturate(m.command.value, made.command.limit))
+            memory.voltage = linearisation.given(values, sent)
+            control_step.end_doubt(memory)
+            memory.cycle = memory.swing = oscillation.NOTHING
+            memory.probe = lock_in.NOTHING
+            memory.former, memory.kept = None, ("", None)
+        memory.voltage = saturate(memory.voltage, params.u_max)
+        if memory.command.value is not None:
+            memory.command = memory.command._replace(value=saturate(memory.command.value, made.command.limit))
         self._use_law(values, params, None if former is None else former.law)
         self._note(Event.PARAMETERS)
 
     def _use_law(self, values: Values, params: Any, former: Any) -> None:
         """Let another law, or another form of it, take over from the one with the params ``former``."""
-        m, name = self.memory, word(values, "controller")
+        memory, name = self.memory, word(values, "controller")
         line = self.params.line
         form = (name, number(values, "sample_period"), line, *(values[key] for key in LAWS[name].form))
         estimates = getattr(params, "theta_initial", None)
         anew = form[0] == self.name and estimates != getattr(former, "theta_initial", None)
-        if anew and m.law is None:
-            m.former = None
+        if anew and memory.law is None:
+            memory.former = None
         if form == self._form and not anew:
             return
         before, law = self._descriptor, LAWS[name]
         another_curve = bool(self._form) and line != self._form[2]
         same_reference = before is not None and before.reshapes(former)
         if law is not before or line != self._form[2]:
-            own = {"hand_out": self._hand_out, "observe": self._observe}
-            self._steps = binding.with_places({**binding.places_of(law, line), **own})
+            receivers = {"give_voltage": self._give_once, "observe": self._observe}
+            self._steps = binding.with_places({**binding.places_of(law, line), **receivers})
             self._sample = self._steps.sample
         self._descriptor = law
         self._form = form
-        self.name = m.name = name
+        self.name = memory.name = name
         self._watched = law_watch.watched(law.module.Terms._fields)
         self._terms = ()
-        if m.law is None:
+        if memory.law is None:
             return
         if another_curve:
-            self._steps.take_over(self.params, m, None, True)
+            self._steps.take_over(self.params, memory, None, True)
             return
-        begun = m.law._replace(theta=estimates) if anew else m.law
+        begun = memory.law._replace(theta=estimates) if anew else memory.law
         if same_reference and law.reshapes(params):
-            self._steps.go_on(self.params, m, begun, bumpless_transfer.followed(former, begun))
+            self._steps.go_on(self.params, memory, begun, bumpless_transfer.followed(former, begun))
         else:
-            self._steps.take_over(self.params, m, begun, True)
+            self._steps.take_over(self.params, memory, begun, True)
 
     def period_refusal(self, period: float) -> str:
         """One sentence why ``period`` [s] cannot become the sample period now, "" if it can."""
@@ -272,39 +268,39 @@ class Supervisor:
         once, as soon as it is certain: before what only the next sample needs. It must not raise.
         """
         assert self._form, "apply comes first"
-        m, p = self.memory, self.params
+        memory, p = self.memory, self.params
         self._give = give
-        lost, last, m.sequence = 0, m.sequence, sequence
+        lost, last, memory.sequence = 0, memory.sequence, sequence
         if sequence is not None and last is not None and sequence > last + 1:
-            lost = 0 if "lvdt_publishers" in m.said.texts else sequence - last - 1
-            m.counts["lvdt_lost"] += max(0, lost - m.skipped)
-        m.skipped = 0
-        m.samples += 1
-        pace = rate.step(p.lvdt.pace, m.pace, elapsed, 1 + lost)
-        changed, m.pace = pace.level != m.pace.level, pace
+            lost = 0 if "lvdt_publishers" in memory.said.texts else sequence - last - 1
+            memory.counts["lvdt_lost"] += max(0, lost - memory.skipped)
+        memory.skipped = 0
+        memory.samples += 1
+        pace = rate.step(p.lvdt.pace, memory.pace, elapsed, 1 + lost)
+        changed, memory.pace = pace.level != memory.pace.level, pace
         if changed:
-            clear(m, "lvdt_rate")
+            clear(memory, "lvdt_rate")
             if pace.level == 1:
-                report(m, "lvdt_rate", rate.text(p.lvdt.pace, pace))
-        voltage = self._sample(p, m, reading, lost, elapsed, pace.level == 2)  # that of control_step.py
-        self._hand_out(voltage)
+                report(memory, "lvdt_rate", rate.text(p.lvdt.pace, pace))
+        voltage = self._sample(p, memory, reading, lost, elapsed, pace.level == 2)  # that of control_step.py
+        self._give_once(voltage)
         self._note(Event.READING, reading, sequence, elapsed, voltage)
         return voltage
 
-    def _hand_out(self, voltage: float) -> None:
+    def _give_once(self, voltage: float) -> None:
         give, self._give = self._give, unused
         give(voltage)
 
-    def _observe(self, m: Memory, terms: Any, voltage: float) -> None:
+    def _observe(self, memory: Memory, terms: Any, voltage: float) -> None:
         """Watch a step of the law for what is only reported."""
         self._terms = terms
         p = self.params
-        law_watch.step(m, voltage, p.law.u_max, p.lvdt.period, self._saturation_limit)
+        law_watch.step(memory, voltage, p.law.u_max, p.lvdt.period, self._saturation_limit)
         if self._watched is not None:
             at, text = self._watched
             if terms[at] > terms[at + 1]:
-                m.counts["assumption_violations"] += 1
-                latch(m, "assumptions", text)
+                memory.counts["assumption_violations"] += 1
+                latch(memory, "assumptions", text)
 
     # What it says
 
@@ -343,8 +339,8 @@ class Supervisor:
     @property
     def theta(self) -> tuple[float, ...] | None:
         """Present estimates of a law that adapts, else None."""
-        m = self.memory
-        state: Any = m.law if m.law is not None else m.former
+        memory = self.memory
+        state: Any = memory.law if memory.law is not None else memory.former
         estimates = getattr(state, "theta", None)
         if estimates is None:
             return None
@@ -377,15 +373,15 @@ class Supervisor:
 
     def telemetry(self) -> list[float]:
         """Numbers of this sample; the law's terms are NaN while it does not have the valve."""
-        m = self.memory
+        memory = self.memory
         terms = self.terms or (math.nan,) * (len(self.labels()) - len(HEAD))
         return [
-            float(m.samples),
+            float(memory.samples),
             float(self.mode),
-            m.effective,
-            m.measurement,
+            memory.effective,
+            memory.measurement,
             self.voltage,
-            m.transfer.voltage.value,
+            memory.transfer.voltage.value,
             *terms,
         ]
 

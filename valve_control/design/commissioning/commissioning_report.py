@@ -13,7 +13,7 @@ from valve_control.control.analysis.figures import COLOURS, Line, Plot
 from valve_control.control.analysis.indices import Indices
 from valve_control.control.parameters.ros_file import as_text
 from valve_control.control.parameters.table import VALVE
-from valve_control.design.commissioning import plant
+from valve_control.design.commissioning import valve_fit
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.sequence import Result
 from valve_control.design.identification import bode, result
@@ -35,7 +35,7 @@ def page(found: Result) -> str:
                 found.tests.slow,
                 slice(None, None, THIN),
                 "model",
-                plant.simulated(found.tests.plant, found.tests.slow),
+                valve_fit.simulated(found.tests.plant, found.tests.slow),
             ),
             "Frequency response": _response(found),
             "Margins in the box": _margins(found),
@@ -94,7 +94,7 @@ def _valve(found: Result) -> str:
     }
     if valve.magnet is not None:
         units = {parameter.name: parameter.unit for parameter in VALVE}
-        own = plant.solenoid_values(valve.magnet, found.plan.sensor_delay)
+        own = valve_fit.solenoid_values(valve.magnet, found.plan.sensor_delay)
         rows |= {
             name: f"{value:.3g} {units[name]}".removesuffix(" -")
             for name, value in own.items()

@@ -14,12 +14,12 @@ from valve_control.control.laws import dcarc
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER, NODES, VALVE
-from valve_control.control.plant.models import scale_of
+from valve_control.control.plant.transfer_functions import scale_of
 from valve_control.control.simulation import offline
-from valve_control.design.commissioning import model, plant
+from valve_control.design.commissioning import model, valve_fit
 from valve_control.design.commissioning.bench import Fault, Plan, Progress, Record
 from valve_control.design.commissioning.evaluation import Rest
-from valve_control.design.commissioning.plant import Plant
+from valve_control.design.commissioning.valve_fit import Plant
 from valve_control.design.identification.first_gains import FRICTION_TERMS
 from valve_control.design.tuning import box, trial, tuner
 from valve_control.design.tuning.trial import Problem, TuningMotion
@@ -93,7 +93,7 @@ def task(plan: Plan, before: Values, fitted: Plant, known: model.Known, rest: Re
     ParameterError.
     """
     limits, period = plan.limits, number(before, "sample_period")
-    own = plant.values(fitted, rest, period, limits.voltage, plan.sensor_delay)
+    own = valve_fit.values(fitted, rest, period, limits.voltage, plan.sensor_delay)
     valve = updated(VALVE, defaults(VALVE), own)
     knowledge = _knowledge(before, known, plan.law)
     values = _limited(plan, before, {**knowledge, "controller": plan.law})

@@ -15,7 +15,7 @@ from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.simulation.robustness import Quantity
 from valve_control.design.commissioning.bench import SafetyLimits
 from valve_control.design.commissioning.evaluation import Rest
-from valve_control.design.commissioning.plant import Plant
+from valve_control.design.commissioning.valve_fit import Plant
 from valve_control.design.identification import bode_fit, dead_time, first_gains, theta
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt

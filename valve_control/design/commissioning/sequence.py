@@ -19,11 +19,11 @@ import numpy as np
 from valve_control import interrupts
 from valve_control.control.analysis.timing import Spread, spread
 from valve_control.design import priority
-from valve_control.design.commissioning import courses, evaluation, gains, model, plant
+from valve_control.design.commissioning import courses, evaluation, gains, model, valve_fit
 from valve_control.design.commissioning.bench import Bench, Course, Fault, Mark, Pause, Plan, Record, Swings
 from valve_control.design.commissioning.evaluation import Rest, Static
 from valve_control.design.commissioning.gains import TunedGains, Verification, VerifyingMotion
-from valve_control.design.commissioning.plant import Plant
+from valve_control.design.commissioning.valve_fit import Plant
 from valve_control.design.identification import dead_time, lvdt
 from valve_control.design.identification.response import Response
 from valve_control.design.identification.result import plain
@@ -186,7 +186,7 @@ class Commissioning:
             tests = self._tested()
         with self._timed("model"):
             sensor = self._plan.sensor_delay
-            self._steps.fitted(plant.values(tests.plant, tests.rest, self._period, u_max, sensor))
+            self._steps.fitted(valve_fit.values(tests.plant, tests.rest, self._period, u_max, sensor))
             known = model.Known(tests.plant, tests.rest, self._period, u_max, self._plan.law, sensor)
             self._look()
             self._steps.progress("model", SIMULATIONS, SIMULATIONS)
@@ -245,9 +245,9 @@ class Commissioning:
         self._steps.tested(self._records)
 
         def fit(tell: Callable[..., None]) -> tuple[Response, Plant]:
-            response, fits, friction = evaluation.linear(sine, planned, static, rest, tell)
+            linear, fits, friction = evaluation.linear(sine, planned, static, rest, tell)
             begin = [slow, sine], fits, friction, static.offset, rest, tell
-            return response, plant.fitted(*begin, lambda: evaluation.higher(response, evaluation.RICHER)[0])
+            return linear, valve_fit.fitted(*begin, lambda: evaluation.higher(linear, evaluation.RICHER)[0])
 
         with self._timed("model"):
             self._modelled()
@@ -273,7 +273,7 @@ class Commissioning:
     def _accepted(self, tests: Tests, known: model.Known) -> tuple[TunedGains, Verification, list[str]]:
         """Gains that hold, also on the valve, and notes on those that did not. Raises ParameterError."""
         refusals: list[str] = []
-        doubted = tests.plant.error > plant.EXPLAINED
+        doubted = tests.plant.error > valve_fit.EXPLAINED
         for wider in (boxes := DOUBTED if doubted else BOXES):
             candidate = self._tuned(tests, known, wider, refusals)
             reasons = candidate.tuned.chosen.verified.reasons
@@ -496,11 +496,11 @@ class Commissioning:
 def _notes(plan: Plan, tests: Tests, tuned: Tuned, pauses: Mapping[str, int]) -> Iterator[str]:
     """Sentences on the model, on pauses, and on a c_u too high."""
     fitted = tests.plant
-    if fitted.error > plant.EXPLAINED:
+    if fitted.error > valve_fit.EXPLAINED:
         yield (
             f"the model misses the readings by {fitted.error:.2g} times what noise and "
-            f"{plant.MODEL_ERROR:.0%} of the motion allow: the gains are judged by the running valve, and "
-            f"were sought for boxes {DOUBTED[0]:g} or {DOUBTED[-1]:g} times as wide as usual"
+            f"{valve_fit.MODEL_ERROR:.0%} of the motion allow: the gains are judged by the running valve, "
+            f"and were sought for boxes {DOUBTED[0]:g} or {DOUBTED[-1]:g} times as wide as usual"
         )
     if fitted.magnet is not None:
         m = fitted.magnet

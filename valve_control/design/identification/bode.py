@@ -10,7 +10,7 @@ import numpy as np
 import scipy.signal
 
 from valve_control.arrays import Complexes, Floats
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 
 GRID: Floats = np.geomspace(1e-5, 1e4, 4000)  # Hz, where corners are looked for
 APART = 1e-8  # of a pole, by which the poles of partial fractions are apart at least

@@ -21,7 +21,7 @@ import scipy.optimize
 import scipy.stats
 
 from valve_control.arrays import Complexes, Floats
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.design.identification.bode import Corners, held_response, model_corners
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError

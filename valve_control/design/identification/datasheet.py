@@ -9,7 +9,7 @@ import scipy.optimize
 import scipy.signal
 
 from valve_control.control.parameters.table import NODES
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.design.identification import first_gains, theta
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt

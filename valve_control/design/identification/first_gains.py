@@ -20,9 +20,9 @@ from valve_control.control.laws.dcarc_design import EXCESS, excess, without_fast
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.linear import stability
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant import models, valve
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant import transfer_functions, valve
 from valve_control.control.plant.sensor import IDEAL
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.design.identification.characteristic import Characteristic
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
@@ -131,9 +131,9 @@ def _safe(law: str, known: KnownValve, corners: list[valve.Params]) -> Values:
 def _corners(known: KnownValve) -> Iterator[valve.Params]:
     """The identified valve, and the corners of the box around it."""
     for gain, speed, later in [(1.0, 1.0, 0.0), *product(GAINS, SPEEDS, LATER)]:
-        model = models.faster(known.model, gain, speed)
+        model = transfer_functions.faster(known.model, gain, speed)
         lvdt = IDEAL._replace(delay=known.delay / known.period + later)
-        yield valve.design(model, known.period, known.u_max, 1.0, valve.FREE, lvdt)
+        yield valve.design(model, known.period, known.u_max, 1.0, valve.NO_DISTURBANCE, lvdt)
 
 
 def _pid(known: KnownValve, share: float) -> Values:
@@ -191,7 +191,7 @@ def dcarc_values(known: KnownValve, share: float = 1.0) -> Values:
     """
     own = defaults(CONTROLLER)
     model = without_fast_zero(known.model, known.period)
-    gain = known.model.static_gain / models.FOURTH_ORDER.static_gain
+    gain = known.model.static_gain / transfer_functions.FOURTH_ORDER.static_gain
     slower: Values = {}
     if share < 1.0:  # the disturbance's estimate is a part of the loop too
         slower["dcarc.disturbance_rate"] = share**2 * number(own, "dcarc.disturbance_rate")
@@ -228,7 +228,7 @@ def _solenoids(known: KnownValve, share: float) -> Values:
     }
     if known.friction is None:
         return terms
-    scale = known.model.static_gain / models.FOURTH_ORDER.static_gain
+    scale = known.model.static_gain / transfer_functions.FOURTH_ORDER.static_gain
     close = max(CLOSE * known.friction.coulomb, LEAST_SPREAD)
     return {
         **terms,

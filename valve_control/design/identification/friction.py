@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from valve_control.arrays import Floats
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.design.identification.experiment import Experiment
 from valve_control.design.identification.response import Response, Segment, phasor
 

@@ -13,7 +13,7 @@ from valve_control.control.laws.registry import ADAPTIVE
 from valve_control.control.parameters import build
 from valve_control.control.parameters.ros_file import as_yaml
 from valve_control.control.parameters.table import NODES
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.design.identification import bode, characteristic
 from valve_control.design.identification.bode import Corners, Root
 from valve_control.design.identification.bode_fit import Fit

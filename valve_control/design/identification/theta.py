@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from valve_control.arrays import Floats
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.design.identification.bode_fit import Fit, exact, fit
 from valve_control.design.identification.response import Response
 from valve_control.parameter import ParameterError, Values

@@ -12,7 +12,7 @@ from valve_control.control.laws.law import Law
 from valve_control.control.linear import stability
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant import models
+from valve_control.control.plant import transfer_functions
 from valve_control.control.simulation import robustness
 from valve_control.control.simulation.robustness import Quantity, Settings, Study
 from valve_control.design.tuning.trial import Problem
@@ -127,7 +127,7 @@ def with_model(law: Law, settings: Settings, given: Container[str]) -> tuple[Val
     if values.get(name, plant["valve"]) == plant["valve"] or name in given:
         return values, ""
     changes: dict[str, Any] = {name: plant["valve"]}
-    if plant["valve"] not in models.MODELS or number(plant, "gain_scale") != 1.0:
+    if plant["valve"] not in transfer_functions.MODELS or number(plant, "gain_scale") != 1.0:
         model = law.of_model(build.valve_model(plant), number(plant, "sample_period"))
         changes = {name: "custom"}
         changes.update({f"{law.name}.{part}": list(c) for part, c in model._asdict().items()})

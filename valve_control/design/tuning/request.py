@@ -12,7 +12,7 @@ from valve_control.control.laws.law import Law
 from valve_control.control.laws.registry import LAWS, LEFT_OUT
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant import models, registry
+from valve_control.control.plant import registry, transfer_functions
 from valve_control.control.simulation import offline
 from valve_control.control.simulation.robustness import Quantity, Settings
 from valve_control.design.tuning import box, tuner
@@ -96,7 +96,7 @@ def task_of(
     if not quantities:
         raise ParameterError("every quantity of the box is fixed; there is no spread to tune for")
     values, notes = _controller(laws, settings, chosen, quantities)
-    scale = models.scale_of(build.valve_model(plant))
+    scale = transfer_functions.scale_of(build.valve_model(plant))
     problems = box.problems(
         {**settings, "controller": values}, quantities, valves, unseen, seed, scale=scale, **asked
     )

@@ -14,7 +14,7 @@ from valve_control.control.laws import command_lead, linearisation, reshaping
 from valve_control.control.laws.free import Free, placed
 from valve_control.control.laws.law import Law
 from valve_control.control.parameters.table import CONTROLLER
-from valve_control.control.plant.models import D3FXE, Scale
+from valve_control.control.plant.transfer_functions import D3FXE, Scale
 from valve_control.control.simulation import batch, delivery
 from valve_control.control.simulation.delivery import Delivery
 from valve_control.parameter import Value, Values, number, updated

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Lists transfer functions of the Parker D3FXE01HCNBJ0011 from voltage to spool position."""
+"""Lists transfer functions from voltage to spool position: of the Parker D3FXE01HCNBJ0011, and any others."""
 
 import math
 from typing import NamedTuple
@@ -84,30 +84,15 @@ def scale_of(model: TransferFunction) -> Scale:
 
 
 MODELS = {"second_order": SECOND_ORDER, "fourth_order": FOURTH_ORDER}
-
-
 LARGEST = 1e18  # coefficient of a custom model, which a fourth order of 3 kHz has
 
 
 def custom_parameters(prefix: str) -> Table:
     """Rows of the parameter table for a model that the user gives; their names begin with ``prefix``."""
+    text, limits = "custom model, {} in s, highest power first", (-LARGEST, LARGEST)
     return (
-        Parameter(
-            f"{prefix}numerator",
-            [1502.057],
-            "",
-            "custom model, numerator in s, highest power first",
-            -LARGEST,
-            LARGEST,
-        ),
-        Parameter(
-            f"{prefix}denominator",
-            [1.0, 58.771, 1657.206],
-            "",
-            "custom model, denominator in s, highest power first",
-            -LARGEST,
-            LARGEST,
-        ),
+        Parameter(f"{prefix}numerator", [1502.057], "", text.format("numerator"), *limits),
+        Parameter(f"{prefix}denominator", [1.0, 58.771, 1657.206], "", text.format("denominator"), *limits),
     )
 
 

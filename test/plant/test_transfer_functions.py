@@ -7,8 +7,8 @@ import math
 import pytest
 
 from valve_control.control.laws import reshaping
-from valve_control.control.plant import models
-from valve_control.control.plant.models import FOURTH_ORDER, SECOND_ORDER, TransferFunction
+from valve_control.control.plant import transfer_functions
+from valve_control.control.plant.transfer_functions import FOURTH_ORDER, SECOND_ORDER, TransferFunction
 
 
 def second_order(frequency, damping=0.8, gain=1.0):
@@ -18,15 +18,15 @@ def second_order(frequency, damping=0.8, gain=1.0):
 
 def test_a_second_order_is_its_own_slow_motion_and_a_coil_takes_from_its_acceleration():
     w = 2.0 * math.pi * 40.0
-    assert models.slow_motion(second_order(40.0)) == pytest.approx((1.6 * w, w * w, w * w))
+    assert transfer_functions.slow_motion(second_order(40.0)) == pytest.approx((1.6 * w, w * w, w * w))
     lag = 0.002
     late = TransferFunction((w * w,), (lag, 1.0 + 1.6 * w * lag, 1.6 * w + w * w * lag, w * w))
-    found = models.slow_motion(late)
+    found = transfer_functions.slow_motion(late)
     assert found.b0 == pytest.approx(w * w / (1.0 + 1.6 * w * lag))
-    assert models.slow_motion(TransferFunction((1.0,), (1.0, 2.0))) is None
+    assert transfer_functions.slow_motion(TransferFunction((1.0,), (1.0, 2.0))) is None
 
 
 @pytest.mark.parametrize("model", [SECOND_ORDER, FOURTH_ORDER, FOURTH_ORDER.scaled(1.213)])
 def test_valves_like_the_d3fxe_keep_its_limits_and_ranges(model):
     assert reshaping.limits(model, 10.0) == {}
-    assert models.scale_of(model) == models.D3FXE
+    assert transfer_functions.scale_of(model) == transfer_functions.D3FXE

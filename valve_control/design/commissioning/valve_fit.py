@@ -21,7 +21,7 @@ from valve_control.control.laws.signals import Start
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import VALVE
 from valve_control.control.plant import registry
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.evaluation import Friction, Rest
 from valve_control.design.identification import bode_fit

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from valve_control.arrays import Floats
 from valve_control.control.laws.biquads import PASS, Params, Section
-from valve_control.control.plant.models import TransferFunction
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.parameter import ParameterError
 
 

@@ -16,7 +16,7 @@ from made import ARRAY, BEGIN, STORE, Run, array, in_file_order, write
 from valve_control.control.parameters.table import CONTROLLER
 from valve_control.control.supervision.journal import COLUMNS, HEAD
 from valve_control.parameter import ParameterError, defaults
-from valve_control.recordings import shadow
+from valve_control.recordings import shadow_replay
 from valve_control.recordings.bags.bag import Bag
 from valve_control.recordings.bags.errors import BagError
 from valve_control.recordings.mapping import find_valves
@@ -24,7 +24,7 @@ from valve_control.recordings.recording import load
 
 
 def shadowed(path, valve="valve", **overrides):
-    return shadow.replay(load(path, journals=True).valves[valve], changed.dotted(overrides))
+    return shadow_replay.replay(load(path, journals=True).valves[valve], changed.dotted(overrides))
 
 
 @pytest.mark.parametrize("law", ["arc", "oarc", "dcarc", "pid", "compensator", "open_loop"])
@@ -49,7 +49,7 @@ def test_a_remapped_command_that_is_named_leaves_the_replay_exact(tmp_path):
         (["spool_command=/lever.data*0.5"], False),
         (["spool_command=/lever", "spool_position=/valve_voltage"], False),
     ):
-        result = shadow.replay(load(path, maps, journals=True).valves["valve"], {})
+        result = shadow_replay.replay(load(path, maps, journals=True).valves["valve"], {})
         assert (result.differing == 0 and result.left_out == []) is exact, maps
 
 
@@ -237,7 +237,7 @@ def test_what_is_no_journal_is_left_out_and_said(tmp_path, text):
     damaged = [m._replace(data=text) if m is notes[1] else m for m in messages]
     recording = load(write(tmp_path / "bag", damaged), journals=True)
     assert any("are no journal" in problem for problem in recording.valves["valve"].problems)
-    result = shadow.replay(recording.valves["valve"], {})
+    result = shadow_replay.replay(recording.valves["valve"], {})
     assert result.differing == 0 and 280 < len(result.voltage) < 400
 
 
@@ -270,7 +270,7 @@ def test_a_part_begins_where_it_was_asked_for(tmp_path):
     run.move(1500)
     bag = write(tmp_path / "bag", run.messages)
     valve = load(bag, start=0.95, end=1.15, journals=True).valves["valve"]
-    result = shadow.replay(valve, {})
+    result = shadow_replay.replay(valve, {})
     assert result.faithful and result.differing == 0 and 100 <= len(result.voltage) <= 201
     # Of the part's last rows the message had not come yet.
     first = run.voltages.index(result.voltage[0])

@@ -123,80 +123,80 @@ def node_only(function: F) -> F:
 
 
 @node_only
-def report(m: Memory, name: str, text: str) -> None:
+def report(memory: Memory, name: str, text: str) -> None:
     """Report ``text`` under ``name``, unless something is reported there already."""
-    if name not in m.said.texts:
-        m.said = Reported({**m.said.texts, name: text}, m.said.expiry)
-        m.changed = True
+    if name not in memory.said.texts:
+        memory.said = Reported({**memory.said.texts, name: text}, memory.said.expiry)
+        memory.changed = True
 
 
 @node_only
-def clear(m: Memory, name: str) -> None:
+def clear(memory: Memory, name: str) -> None:
     """Report nothing under ``name`` any more."""
-    if name in m.said.texts:
-        texts = {key: text for key, text in m.said.texts.items() if key != name}
-        m.said = Reported(texts, {key: end for key, end in m.said.expiry.items() if key != name})
-        m.changed = True
+    if name in memory.said.texts:
+        texts = {key: text for key, text in memory.said.texts.items() if key != name}
+        memory.said = Reported(texts, {key: end for key, end in memory.said.expiry.items() if key != name})
+        memory.changed = True
 
 
 @node_only
-def latch(m: Memory, name: str, text: str, lasting: float = LATCH) -> None:
+def latch(memory: Memory, name: str, text: str, lasting: float = LATCH) -> None:
     """Report an event of this moment for ``lasting`` [s]."""
-    report(m, name, text)
-    m.said = Reported(m.said.texts, {**m.said.expiry, name: m.now + lasting})
+    report(memory, name, text)
+    memory.said = Reported(memory.said.texts, {**memory.said.expiry, name: memory.now + lasting})
 
 
 @node_only
-def expire(m: Memory) -> None:
+def expire(memory: Memory) -> None:
     """Report those events no more that are over."""
-    for name, end in m.said.expiry.items():
-        if m.now > end:
-            clear(m, name)
+    for name, end in memory.said.expiry.items():
+        if memory.now > end:
+            clear(memory, name)
 
 
 @node_only
-def count(m: Memory, name: str) -> None:
+def count(memory: Memory, name: str) -> None:
     """Count one more event."""
-    m.counts[name] += 1
+    memory.counts[name] += 1
 
 
 @node_only
-def forget_saturation(m: Memory) -> None:
+def forget_saturation(memory: Memory) -> None:
     """Drop what the voltages until now have shown of saturation."""
-    m.saturated_for = 0.0
-    clear(m, "saturation")
+    memory.saturated_for = 0.0
+    clear(memory, "saturation")
 
 
 @node_only
-def reported_of(p: Any, m: Memory, block: plausibility.Block) -> None:
+def reported_of(p: Any, memory: Memory, block: plausibility.Block) -> None:
     """Let the watches that only report look at a block; ``p``: Params of the watches beside the check."""
     for slot, name, step, text in _REPORTING:
         params = getattr(p, slot)
-        state = step(params, getattr(m, slot), block)
-        setattr(m, slot, state)
+        state = step(params, getattr(memory, slot), block)
+        setattr(memory, slot, state)
         told = text(params, state)
         if told == "":
-            clear(m, name)
+            clear(memory, name)
         else:
-            report(m, name, told)
+            report(memory, name, told)
 
 
 @node_only
-def stop_reporting(m: Memory) -> None:
+def stop_reporting(memory: Memory) -> None:
     """The voltage is switched off."""
     for watch in REPORTING:
-        setattr(m, watch.slot, watch.stopped(getattr(m, watch.slot)))
+        setattr(memory, watch.slot, watch.stopped(getattr(memory, watch.slot)))
 
 
 @node_only
-def forget_reported(m: Memory, entirely: bool = False) -> None:
+def forget_reported(memory: Memory, entirely: bool = False) -> None:
     """Drop what the watches that only report have learnt of the valve.
 
     ``entirely``: all that they have, since there is no plausibility check any more, on which they depend.
     """
     for watch in REPORTING:
-        before = getattr(m, watch.slot)
+        before = getattr(memory, watch.slot)
         after = watch.module.NOTHING if entirely else watch.forgotten(before)
         if after is not before:
-            setattr(m, watch.slot, after)
-            clear(m, watch.condition)
+            setattr(memory, watch.slot, after)
+            clear(memory, watch.condition)
