@@ -295,9 +295,23 @@ def your_valve(path: Path) -> None:
     files = ("--params-file", "sheet.yaml")
     laws = ("--controller", "dcarc,pid")
     valve_control("tune", *laws, *files, *motion, *words, "--budget", "400", "--output", "tuned.yaml")
-    names = ("tuned_dcarc.yaml", "tuned_pid.yaml", "docs/examples/my_valve.yaml")
-    files += tuple(word for name in names for word in ("--params-file", name))
-    valve_control("compare", *files, *motion, "--duration", "1.0", "--figure", str(path))
+    real = ("--params-file", "docs/examples/my_valve.yaml")
+    figure, (top, middle, bottom) = axes(3, 7.0)
+    for law, colour in (("open_loop", "0.55"), ("pid", COLOURS[1]), ("dcarc", COLOURS[0])):
+        gains = () if law == "open_loop" else ("--params-file", f"tuned_{law}.yaml")
+        s = simulated(law, "--controller", law, *files, *gains, *real, *motion, "--duration", "1.0")
+        error = s["measurement"] - s["command"]
+        label = f"{law}: {1e3 * np.sqrt(np.mean(error**2)):.3g} mV rms"
+        top.plot(s["time"], s["measurement"], color=colour, lw=1.0, label=label)
+        bottom.plot(s["time"], s["voltage"], color=colour, lw=0.8)
+        if law != "open_loop":
+            middle.plot(s["time"], 1e3 * error, color=colour, lw=0.9)
+    top.plot(s["time"], s["command"], "k--", lw=1.0, label="command")
+    top.set(ylabel="LVDT reading [V]", xlim=(0.2, 0.7))
+    middle.set_ylabel("error [mV]")
+    bottom.set(ylabel="voltage [V]", xlabel="time [s]")
+    legend(top)
+    save(figure, path)
 
 
 LOG = ("docs/examples/plc_log.csv", "--map", "spool_position=LVDT@4..20mA", "--map", "valve_voltage=U")

@@ -146,6 +146,13 @@ def test_a_random_valve_always_has_a_result(run, tmp_path, seed, law):
     assert (overshot is not None and overshot <= 0.06) or found["reasons"] or found["notes"]
 
 
+def test_friction_fixed_at_0_is_noted(run, commands):
+    quick = ["--controller", "pid", "--set", "pid.form=plain", *commands, *SMALL, "--budget", "24"]
+    fixed = [*quick, "--fix", "friction.coulomb", "--json", "-"]
+    assert "friction.coulomb is fixed at 0 V" in run("tune", *fixed)[2]
+    assert "is fixed at 0 V" not in run("tune", *fixed, "--set", "friction.coulomb=0.2")[2]
+
+
 @pytest.mark.parametrize(
     "options, sentence",
     [

@@ -138,7 +138,7 @@ def _task(arguments: argparse.Namespace) -> "Task":
     chosen = files.given(arguments.params_file, valve, arguments.set)["controller"]
     laws = request.laws_of(arguments.controller or word(settings["controller"], "controller"))
     request.check_free([text.partition("=")[0].strip() for text in arguments.set], laws)
-    return request.task_of(
+    task = request.task_of(
         laws=laws,
         settings=settings,
         chosen=chosen,
@@ -151,6 +151,9 @@ def _task(arguments: argparse.Namespace) -> "Task":
         preview=arguments.preview,
         delivery=None if arguments.preview else delivery_of(arguments, settings["controller"]),
     )
+    if "friction.coulomb" in arguments.fix and settings["valve_simulator"]["friction.coulomb"] == 0.0:
+        task.notes.append("friction.coulomb is fixed at 0 V; --set friction.coulomb=V sets the friction")
+    return task
 
 
 def _motions(arguments: argparse.Namespace, settings: Mapping[str, Values]) -> list["TuningMotion"]:
