@@ -52,6 +52,8 @@ def test_parameters_and_services_without_the_ros2_command(ros, tmp_path):
         assert status == 0 and "estimates and filters are at their start" in out
         status, out = call("/controller/set_parameters")
         assert status == 2 and "is a rcl_interfaces/srv/SetParameters; this script calls" in out
+        log = (tmp_path / "c.log").read_text()
+        assert "[controller]: off → safe (lvdt_missing): no LVDT reading yet" in log
     status, out = ended(nodeless)
     assert status == 2 and "no node /nobody" in out
     assert ended(serviceless) == (2, "there is no service /nobody/reset\n")
