@@ -6,6 +6,7 @@ python call_service.py /controller/reset
 python call_service.py /controller/change_state deactivate
 """
 
+import argparse
 import sys
 import time
 
@@ -18,14 +19,18 @@ TYPES = {kind.__name__: kind for kind in (ChangeState, GetState, Trigger)}
 
 def main() -> int:
     """0 if the node did it, 1 if it refused, 2 if there is no such service."""
-    name, transition = (*sys.argv[1:], "", "")[:2]
+    parser = argparse.ArgumentParser(description="Call a service, or change the state of a managed node.")
+    parser.add_argument("service")
+    parser.add_argument("transition", nargs="?", default="", help="of change_state, such as deactivate")
+    arguments = parser.parse_args()
+    name, transition = arguments.service, arguments.transition
     rclpy.init(args=[])
     try:
         node = rclpy.create_node("call_service")
         end = time.monotonic() + 5.0
         while name not in (services := dict(node.get_service_names_and_types())):
             if time.monotonic() > end:
-                print(f"there is no service {name or '(write: call_service.py SERVICE)'}", file=sys.stderr)
+                print(f"there is no service {name}", file=sys.stderr)
                 return 2
             rclpy.spin_once(node, timeout_sec=0.1)
         kind = TYPES.get(services[name][0].split("/")[-1])

@@ -5,6 +5,7 @@
 python echo.py /controller/state
 """
 
+import argparse
 import importlib
 import signal
 import sys
@@ -38,7 +39,9 @@ def show(message: object) -> None:
 
 def main() -> int:
     """0 after Ctrl-C or SIGTERM, 2 if nobody publishes the topic."""
-    topic = (sys.argv + [""])[1]
+    parser = argparse.ArgumentParser(description="Print the messages of a topic until Ctrl-C.")
+    parser.add_argument("topic")
+    topic = parser.parse_args().topic
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `| head` ends it
     rclpy.init(args=[])
     try:
@@ -46,7 +49,7 @@ def main() -> int:
         end = time.monotonic() + 5.0
         while topic not in (topics := dict(node.get_topic_names_and_types())):
             if time.monotonic() > end:
-                print(f"there is no topic {topic or '(write: echo.py TOPIC)'}", file=sys.stderr)
+                print(f"there is no topic {topic}", file=sys.stderr)
                 return 2
             rclpy.spin_once(node, timeout_sec=0.1)
         package, _, name = topics[topic][0].split("/")
@@ -55,6 +58,9 @@ def main() -> int:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except Exception:  # of rclpy, if Ctrl-C comes while the node is made
+        if rclpy.ok():
+            raise
     finally:
         rclpy.try_shutdown()
     return 0

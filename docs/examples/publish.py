@@ -32,6 +32,9 @@ def main() -> int:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except Exception:  # of rclpy, if Ctrl-C comes while the node is made
+        if rclpy.ok():
+            raise
     finally:
         rclpy.try_shutdown()
     return 0

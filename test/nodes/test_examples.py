@@ -52,9 +52,18 @@ def test_parameters_and_services_without_the_ros2_command(ros, tmp_path):
         assert status == 0 and "estimates and filters are at their start" in out
         status, out = call("/controller/set_parameters")
         assert status == 2 and "is a rcl_interfaces/srv/SetParameters; this script calls" in out
+        log = (tmp_path / "c.log").read_text()
+        assert "[controller]: off → safe (lvdt_missing): no LVDT reading yet" in log
     status, out = ended(nodeless)
     assert status == 2 and "no node /nobody" in out
     assert ended(serviceless) == (2, "there is no service /nobody/reset\n")
+
+
+@pytest.mark.parametrize("script", ["echo.py", "call_service.py"])
+def test_the_usage_is_printed(script):
+    words = [sys.executable, str(EXAMPLES / script), "--help"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and done.stdout.startswith(f"usage: {script} ")
 
 
 def test_topics_are_shown_without_the_ros2_command(ros, tmp_path):
@@ -99,7 +108,7 @@ def test_upper_level_answers_each_reading(ros):
     commands = []
     ros.create_subscription(Float64, "spool_command", lambda m: commands.append(m.data), 10)
     lvdt = ros.create_publisher(Float64, "spool_position", 10)
-    child = subprocess.Popen([sys.executable, str(EXAMPLES / "axis_controller.py")])
+    child = subprocess.Popen([sys.executable, str(EXAMPLES / "upper_level.py")])
     try:
         spin_until(
             ros,

@@ -433,7 +433,8 @@ class Controller(Managed):
         now = (supervisor.mode, supervisor.reason)
         if now != self._said:
             before = self._said[0].name.lower() if self._said else "off"
-            text = f"{before} → {now[0].name.lower()}: {now[1]}"
+            names = f" ({', '.join(supervisor.conditions)})" if supervisor.conditions else ""
+            text = f"{before} → {now[0].name.lower()}{names}: {now[1]}"
             self.later(self._logged(Mode.OK if self._said is None else now[0], text))
             self._said = now
         self._publish_diagnostics()

@@ -54,13 +54,12 @@ class DeviceNode(Managed):
     def tell(self, conditions: tuple[Condition, ...], prefix: str = "") -> None:
         """Log the conditions that are new."""
         known = {condition.name for condition in self._told}
-        for condition in conditions:
-            if condition.name in known:
-                continue
-            if condition.level == "safe":
-                self.get_logger().error(prefix + condition.text)
+        new = [condition for condition in conditions if condition.name not in known]
+        for name, level, text in new:
+            if level == "safe":
+                self.get_logger().error(f"{prefix}{name}: {text}")
             else:
-                self.get_logger().warning(prefix + condition.text)
+                self.get_logger().warning(f"{prefix}{name}: {text}")
         self._told = conditions
 
     def autostart(self) -> None:

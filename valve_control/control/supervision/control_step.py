@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from valve_control.control.compiling import in_words
 from valve_control.control.laws import command_lead, linearisation, reshaping, velocity
-from valve_control.control.laws.places import law_hold, law_initial, law_step
+from valve_control.control.laws.places import law_hold, law_initial, law_step  # filled by binding.py
 from valve_control.control.laws.projection import Theta, clip
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.laws.signals import Start

@@ -282,7 +282,7 @@ class Supervisor:
             clear(memory, "lvdt_rate")
             if pace.level == 1:
                 report(memory, "lvdt_rate", rate.text(p.lvdt.pace, pace))
-        voltage = self._sample(p, memory, reading, lost, elapsed, pace.level == 2)  # that of control_step.py
+        voltage = self._sample(p, memory, reading, lost, elapsed, pace.level == 2)  # control_step.sample
         self._give_once(voltage)
         self._note(Event.READING, reading, sequence, elapsed, voltage)
         return voltage

@@ -11,11 +11,11 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
 
-class AxisController(Node):
+class UpperLevel(Node):
     """Publishes `spool_command`, paced by `spool_position`."""
 
     def __init__(self) -> None:
-        super().__init__("axis_controller")
+        super().__init__("upper_level")
         self.command = self.create_publisher(Float64, "spool_command", 10)
         self.create_subscription(Float64, "spool_position", self.on_reading, 10)
 
@@ -30,7 +30,7 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopped.set())
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = AxisController()
+    node = UpperLevel()
     while not stopped.is_set():
         rclpy.spin_once(node, timeout_sec=0.1)
     rclpy.shutdown()
