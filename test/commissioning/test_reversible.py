@@ -157,7 +157,7 @@ def test_the_watch_ends_it_at_the_first_wrong_message():
     watch = Watch(LIMITS._replace(travel=np.inf))
     watch.reading(np.nan)
     watch.reading(np.nan)
-    with pytest.raises(Fault, match="not finite"):
+    with pytest.raises(Pause, match="not finite"):  # a driver has lost readings
         watch.reading(np.nan)
     usual = Diagnosis(
         False, True, frozenset(), "words that nobody reads: oscillates, saturated for, inactive"
@@ -167,6 +167,7 @@ def test_the_watch_ends_it_at_the_first_wrong_message():
         ({"oscillation"}, False, Swings),
         ({"lvdt_silent"}, True, Pause),
         ({"stalled", "lvdt_jump"}, True, Pause),
+        ({"lvdt_not_finite"}, True, Pause),
         ({"lvdt_jump"}, True, Fault),
         # What must not go on with other gains is no mere swing, nor a pause.
         ({"oscillation", "lvdt_jump"}, True, Fault),

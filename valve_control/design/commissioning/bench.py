@@ -21,9 +21,9 @@ ROUNDING = 1e-9  # V
 SWINGS = {"oscillation", "lvdt_hum"}
 PUBLISHERS = {"command_publishers", "trajectory_publishers", "lvdt_publishers", "voltage_publishers"}
 ENDS = {"saturation", *PUBLISHERS}
-# With 0 V: readings stopped or were late, or the controller or its host stood still. What else is reported
-# then may follow from it. If it does not, it is there without a pause too, when the stretch is repeated.
-PAUSES = {"lvdt_silent", "lvdt_missing", "lvdt_period", "lvdt_bridged", "stalled"}
+# With 0 V: readings stopped, were late or lost (a driver gives NaN for each), or the controller or its host
+# stood still. What else is reported then may follow from it; if not, it comes again with the next try.
+PAUSES = {"lvdt_silent", "lvdt_missing", "lvdt_period", "lvdt_bridged", "lvdt_not_finite", "stalled"}
 Elapsed = Callable[[float], None]  # gets the time [s] of a course that is over
 Progress = Callable[[float, float], None]  # sets of gains that are over, of about how many
 
@@ -213,7 +213,7 @@ class Watch:
         if self._beyond < BEYOND:
             return
         if not math.isfinite(value):
-            raise Fault("the readings are not finite")
+            raise Pause("the readings are not finite")
         raise Fault(f"the reading is {value:.3g} V, beyond the travel of ±{self._limits.travel:g} V")
 
     def voltage(self, value: float) -> None:
