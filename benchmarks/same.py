@@ -12,7 +12,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-LAWS = ("arc", "oarc", "dcarc", "pid", "compensator", "open_loop")
+from valve_control.control.laws.registry import LAWS
+
 RESEARCH = ("theorems", "calibration")  # commands that are not installed
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 VALVE = ("--params-file", str(CONFIG / "d3fxe.yaml"))
