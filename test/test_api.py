@@ -139,6 +139,7 @@ def test_help_of_tune_has_units_and_defaults_and_none_switches_a_limit_off():
     assert "%(" not in vc.tune.__doc__ and "overshoot (%): largest overshoot of steps (5)" in vc.tune.__doc__
     assert "--" not in vc.tune.__doc__.replace("'valve-control study --box'", "")
     assert "repeated" not in vc.tune.__doc__ and "map (dict)" in vc.identify.__doc__
+    assert "command (array or file, or a list)" in vc.tune.__doc__
     words = _Call("tune", (), (), {"overshoot": None, "duration": None})._options(Path())
     assert words == ["--overshoot=none"]
 

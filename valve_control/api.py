@@ -447,7 +447,8 @@ def _describe_options() -> None:
             keywords.append(inspect.Parameter(action.dest, inspect.Parameter.KEYWORD_ONLY, default=usual))
             value = "" if action.choices else formatter._format_args(action, "")
             value = f"True or {value[1:-1]}" if action.nargs == "?" else "dict" if "=" in value else value
-            value += " or a list" if isinstance(action, argparse._AppendAction) and value != "dict" else ""
+            value = value.replace("FILE", "array or file") if action.dest in EXPECTED else value
+            value += ", or a list" if isinstance(action, argparse._AppendAction) and value != "dict" else ""
             text = f"{action.dest}{value and f' ({value})'}: {_in_python(formatter._expand_help(action))}"
             text += f"; one of {', '.join(map(str, action.choices))}" if action.choices else ""
             rows.append(textwrap.fill(text, 100, initial_indent="    ", subsequent_indent="        "))
