@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tasks as functions: same numbers as the command line, arrays, and errors of one sentence."""
 
+import inspect
 import json
 import os
 import subprocess
@@ -64,9 +65,15 @@ def test_parameters_go_from_one_task_to_the_next(tmp_path):
     sheet = vc.identify(data_sheet={"natural_frequency": 14.0, "damping": 1.0, "full_stroke": 9.0})
     assert sheet.parameters is not None
     sheet.parameters.save(tmp_path / "sheet.yaml")
-    assert vc.load(tmp_path / "sheet.yaml")[:2] == sheet.parameters[:2]
+    loaded = vc.load(tmp_path / "sheet.yaml")
+    assert (loaded.text, loaded.values) == (sheet.parameters.text, sheet.parameters.values)
+    assert loaded["numerator"] == loaded.values["valve_simulator"]["numerator"]
     assert "damping" in vc.identify(data_sheet=[])
     vc.simulate({"controller": {"arc.k1": np.float64(100.0)}}, duration=1.0)
+    whole = {"valve": "custom", "numerator": [6964], "denominator": np.array([1, 158, 7738]), "lvdt.noise": 0}
+    floats = {**whole, "numerator": [6964.0], "denominator": [1.0, 158.0, 7738.0], "lvdt.noise": 0.0}
+    runs = [vc.simulate({"valve_simulator": valve}, duration=1.0) for valve in (whole, floats)]
+    assert dict(runs[0]) == dict(runs[1])
     assert dict(vc.margins(sheet.parameters, controller="dcarc")) == dict(
         vc.margins(tmp_path / "sheet.yaml", controller="dcarc")
     )
@@ -94,7 +101,7 @@ def test_a_log_of_arrays_is_analysed(tmp_path):
         (lambda: vc.simulate(controller=json), "give the descriptor: json.LAW"),
         (lambda: vc.tune(valves=None), "none is no whole number"),
         (lambda: vc.analyze(MOTION), "a ndarray is no file; write it with to_csv"),
-        (lambda: vc.simulate(controller="pdi"), "invalid choice: 'pdi'"),
+        (lambda: vc.simulate(controller="pdi"), "^controller: there is no law 'pdi'; did you mean 'pid'"),
         (lambda: vc.simulate(command=[MOTION, MOTION]), "command has 2 entries"),
         (lambda: vc.simulate(command=np.zeros((3, 2))), "is no motion"),
         (lambda: vc.simulate(command=1j * MOTION), "is no motion"),
@@ -102,14 +109,18 @@ def test_a_log_of_arrays_is_analysed(tmp_path):
         (lambda: vc.simulate({"damping": 0.7}), "a dict by node"),
         (lambda: vc.simulate(set={"arc.k9": 1.0}), "no parameter 'arc.k9'"),
         (lambda: vc.simulate(command=[]), "command has 0 entries"),
-        (lambda: vc.simulate(command=1.0), "command is a float; give an array"),
-        (lambda: vc.simulate(controller=print), "controller is a builtin_function"),
+        (lambda: vc.simulate(command=1.0), "command is a float; give one array"),
+        (lambda: vc.simulate(controller=print), "controller is a builtin_function.*the LAW of your file"),
+        (lambda: vc.simulate(preview="yes"), "^preview is a switch: True or False$"),
+        (lambda: vc.identify("log.csv"), "^log.csv is a table; give it as bag="),
+        (lambda: vc.simulate(command=(MOTION, MOTION)), "simulate takes one array .* without the times"),
+        (lambda: vc.simulate({"valve": {"damping": 0.7}}), "a dict by node: .*the nodes are controller"),
         (lambda: vc.simulate(vc.identify(data_sheet=[])), "a Result is no parameters; give .*parameters"),
         (lambda: vc.simulate(duration="long"), "^duration: invalid float value: 'long'$"),
         (lambda: vc.simulate(start=1.0), "^simulate without a bag takes no start$"),
         (lambda: vc.simulate(npz="traces.npz"), "npz is of the command line"),
-        (lambda: vc.simulate(command=[float("nan"), 1.0]), "^command file command.npy has nan in entry 1"),
-        (lambda: vc.simulate({"controller": {"arc.k9": 1.0}}), "^parameters.yaml: .*'arc.k9'"),
+        (lambda: vc.simulate(command=[float("nan"), 1.0]), "^command has nan in entry 1$"),
+        (lambda: vc.simulate({"controller": {"arc.k9": 1.0}}), "^there is no parameter 'arc.k9'"),
         (lambda: vc.margins(VALVE).plot(), "margins has no figure"),
         (lambda: vc.margins(VALVE).law(), "margins gives no law"),
         (lambda: vc.identify(data_sheet=[]).to_dataframe(), "identify gives no table"),
@@ -126,8 +137,18 @@ def test_bad_input_is_one_sentence(task, sentence, capsys):
 
 def test_help_of_tune_has_units_and_defaults_and_none_switches_a_limit_off():
     assert "%(" not in vc.tune.__doc__ and "overshoot (%): largest overshoot of steps (5)" in vc.tune.__doc__
+    assert "--" not in vc.tune.__doc__.replace("'valve-control study --box'", "")
+    assert "repeated" not in vc.tune.__doc__ and "map (dict)" in vc.identify.__doc__
+    assert "command (array or file, or a list)" in vc.tune.__doc__
     words = _Call("tune", (), (), {"overshoot": None, "duration": None})._options(Path())
     assert words == ["--overshoot=none"]
+
+
+@pytest.mark.parametrize("task", [vc.simulate, vc.tune, vc.identify, vc.replay])
+def test_the_signature_has_the_options_with_their_defaults(task):
+    keywords = {p.name: p.default for p in inspect.signature(task).parameters.values()}
+    assert {"set", "controller"} & keywords.keys() and not {"options", "json", "help"} & keywords.keys()
+    assert keywords.get("max_chatter", 0.25) == 0.25 and keywords.get("set") is None
 
 
 @pytest.mark.campaign

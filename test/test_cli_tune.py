@@ -95,7 +95,7 @@ def test_what_does_not_hold_is_not_written(run, tmp_path, commands):
     law = json.loads(out)["laws"]["pid"]
     assert status == 1 and not law["accepted"] and law["file"] is None and law["chosen"]
     assert "pid: not accepted, because the gain margin falls to" in err and not (tmp_path / "t.yaml").exists()
-    assert "margins --box shows where" in err
+    assert "margins with --box shows where" in err
     row = next(row for row in law["limits"] if row["limit"] == "gain margin")
     assert row["missed"] == row["looked_at"] >= 24 and row["best"] < row["wanted"] == 60.0
     counted = f"{row['missed']} of {row['missed']} sets of gains miss it, the best has {row['best']:.3g} dB"

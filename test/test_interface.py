@@ -11,6 +11,7 @@ import json
 import re
 from pathlib import Path
 
+import valve_control
 from valve_control.axis.tables import ROS_NODES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,7 +37,7 @@ def _conditions():
 
 
 def interface():
-    """Parameters with their types, topics and services, conditions, command line, entry point groups."""
+    """Parameters with types, topics and services, conditions, command line, Python, entry point groups."""
     from valve_control.cli import command
     from valve_control.control.drivers import registry as drivers
     from valve_control.control.laws import registry as laws
@@ -49,6 +50,7 @@ def interface():
         ),
         "conditions": _conditions(),
         "command line": {name: _options(p) for name, p in command.Commands().parsers.items()},
+        "Python": sorted(valve_control.__all__),
         "entry point groups": [laws.GROUP, plants.GROUP, drivers.GROUP],
     }
 

@@ -1,25 +1,25 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Controls a proportional valve, after Bu and Yao; in Python begin with help(valve_control.simulate)."""
+"""Controls a proportional valve, after Bu and Yao. Begin with help(valve_control.simulate).
+
+simulate, compare   run one law, or all laws, on a simulated valve
+identify, tune      fit a model of a valve to a test; search the gains of a law for it
+margins             gain, phase and delay margin of given gains
+analyze, replay     indices and spectra of a bag or log; its readings through a law
+load                read a parameter file
+"""
 
 from typing import TYPE_CHECKING, Any
 
 __version__ = "1.0.0"
 __all__ = [
-    "BagError",
-    "ParameterError",
-    "analyze",
-    "compare",
-    "identify",
-    "load",
-    "margins",
-    "replay",
-    "simulate",
-    "tune",
-]
+    "simulate", "compare", "identify", "tune", "margins", "analyze", "replay", "load",
+    "BagError", "LawError", "ParameterError",
+]  # fmt: skip
 
 if TYPE_CHECKING:
     from valve_control.api import analyze, compare, identify, load, margins, replay, simulate, tune
+    from valve_control.control.compiling import LawError
     from valve_control.parameter import ParameterError
     from valve_control.recordings.bags.errors import BagError
 

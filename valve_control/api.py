@@ -3,9 +3,9 @@
 """The tasks as Python functions, for notebooks and scripts, with the names and defaults of the command line.
 
 Parameters (of valve, gains, command) are names of files, what ``load`` returns, ``.parameters`` of a result,
-or dicts by node, {"valve_simulator": {"lvdt.noise": 0.004}}; later ones win. A switch is True, an option for
-more than one takes a list, one of NAME=VALUE a dict; None switches a limit off. ``command`` is an array with
-one number [V] per sample, or a file. ``controller`` is the name of a law, or the ``LAW`` of your file.
+or dicts by node, {"valve_simulator": {"lvdt.noise": 0.004}}; later ones win. A switch is True; None switches
+a limit off. ``command`` is an array with one number [V] per sample, or a file. ``controller`` is the name of
+a law, or the ``LAW`` of your file.
 
 The Result is a dict of numbers, in V, V/s and s if the name has no unit; print() shows a table. It also has:
 
@@ -46,12 +46,14 @@ from valve_control import outputs
 from valve_control.arrays import Floats
 from valve_control.cli.command import Commands
 from valve_control.cli.common import OUTPUTS, option_of
+from valve_control.control.compiling import LawError as LawError
 from valve_control.control.laws.law import Law
 from valve_control.control.parameters import files
 from valve_control.control.parameters.controller import add_law
 from valve_control.control.parameters.ros_file import as_text, as_yaml
+from valve_control.control.parameters.table import NODES
 from valve_control.control.simulation import offline
-from valve_control.parameter import ParameterError, Values
+from valve_control.parameter import ParameterError, Value, Values
 from valve_control.recordings.bags.errors import BagError
 
 if TYPE_CHECKING:
@@ -59,10 +61,16 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 MANY = ("band", "data_sheet")  # options that take several words
+EXPECTED = {  # values of options that take neither a word nor a number alone
+    "command": "one array with a number [V] per sample, without the times, or a file",
+    "controller": "the name of a law, or the LAW of your file (docs/tutorials/your_law.md)",
+}
+TABLES = {".csv", ".npy", ".mat", ".mcap", ".db3"}  # suffixes of files that are no parameters
 
 
-class Parameters(NamedTuple):
-    """A ROS 2 parameter file: of a valve, of gains, or of both."""
+@dataclass(frozen=True, repr=False)
+class Parameters:
+    """A ROS 2 parameter file: of a valve, of gains, or of both; ``parameters["lvdt.noise"]`` is a value."""
 
     text: str
     values: dict[str, Values]  # checked, by node: values["controller"]["arc.k1"]
@@ -70,6 +78,9 @@ class Parameters(NamedTuple):
 
     def __repr__(self) -> str:
         return f"# {self.name}\n{self.text}"
+
+    def __getitem__(self, name: str) -> Value:
+        return {n: value for values in self.values.values() for n, value in values.items()}[name]
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file to ``path``, whole or not at all. Raises OSError."""
@@ -155,10 +166,10 @@ class _Call(NamedTuple):
         with tempfile.TemporaryDirectory() as folder:
             files = {name: f"{folder}/out/{self.task}.{OUTPUTS[name]}" for name in ("json", *wanted)}
             Path(folder, "out").mkdir()
-            line = [self.task, *map(str, self.words), *self._options(Path(folder))]
             text, errors = io.StringIO(), _Without(f"{folder}/")
             with contextlib.redirect_stdout(text), contextlib.redirect_stderr(errors):
                 try:
+                    line = [self.task, *map(str, self.words), *self._options(Path(folder))]
                     words = [*line, *(f"--{name}={file}" for name, file in files.items())]
                     arguments = _parsed(words, [word.replace(f"{folder}/", "") for word in line])
                     status = int(arguments.run(arguments) or 0)
@@ -187,8 +198,12 @@ class _Call(NamedTuple):
             if isinstance(file, Result) or not isinstance(file, (Parameters, Mapping, str, os.PathLike)):
                 raise ParameterError(
                     f"a {type(file).__name__} is no parameters; give files, dicts, or the .parameters of a "
-                    "result, which are None if gains did not pass (a motion is command=, a test is bag=)"
+                    "result, which are None if gains did not pass (a motion is command=, a test is bag=, a "
+                    "transfer function {'valve_simulator': {'valve': 'custom', 'numerator': [...], "
+                    "'denominator': [...]}})"
                 )
+            if isinstance(file, (str, os.PathLike)) and Path(file).suffix.lower() in TABLES:
+                raise ParameterError(f"{file} is a table; give it as bag= (a test) or command= (a motion)")
         options = {**self.options, "params_file": files}
         words, actions = list[str](), _commands().parsers[self.task]._option_string_actions
         for name, value in options.items():
@@ -201,10 +216,16 @@ class _Call(NamedTuple):
             one = isinstance(actions.get(option), argparse._StoreAction) and name not in MANY
             count = len(_several(value))
             if (one and count > 1) or (count == 0 and (one or name == "command")):
-                raise ParameterError(f"{name} has {count} entries; {self.task} takes one")
+                expected = EXPECTED.get(name, "one")
+                raise ParameterError(f"{name} has {count} entries; {self.task} takes {expected}")
+            if isinstance(actions.get(option), argparse._StoreTrueAction) and value not in (
+                True,
+                False,
+                None,
+            ):
+                raise ParameterError(f"{name} is a switch: True or False")
             if isinstance(value, Mapping):
-                plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in value.items()}
-                value = [f"{k}={v if isinstance(v, str) else as_text(v)}" for k, v in plain.items()]
+                value = _settings(value)
             if value is None or value is False:
                 words += [f"{option}=none"] if actions[option].default else []
             elif value is True:
@@ -216,11 +237,14 @@ class _Call(NamedTuple):
         return words
 
 
-def _in_python(text: str, folder: str) -> str:
-    """A message of the command without the name of a ``folder``, and with keywords in place of options."""
+def _in_python(text: str, folder: str = "\0") -> str:
+    """A text of the command without the name of a ``folder``, and with keywords in place of options."""
     names = {"from": "start", "to": "end"}
-    text = re.sub(r"^valve-control \w+: (argument )?| \(see valve-control.*", "", text.replace(folder, ""))
-    return re.sub("--([a-z-]*[a-z])", lambda word: names.get(word[1], word[1].replace("-", "_")), text)
+    rest = r"^valve-control \w+: (argument )?| \(see valve-control.*|; can be repeated"
+    text = re.sub(rf"command file {folder}(command\w*)\.npy", r"\1", text).replace(folder, "")
+    text = re.sub(rest, "", text)
+    option = "'valve-control [^']*'|--([a-z-]*[a-z])"  # a command in quotes stays
+    return re.sub(option, lambda w: names.get(w[1], w[1].replace("-", "_")) if w[1] else w[0], text)
 
 
 class _Without(io.TextIOBase):
@@ -264,20 +288,29 @@ def _word(value: Any, folder: Path, name: str) -> str:
         add_law(value)
         return value.name
     if isinstance(value, Mapping):
-        if not all(isinstance(values, Mapping) for values in value.values()):
-            raise ParameterError("parameters are a dict by node: {'valve_simulator': {'damping': 0.7}}")
-        plain = {f"/**/{node}": outputs.plain(dict(values)) for node, values in value.items()}
-        value = Parameters(as_yaml(plain), {})
+        if not all(node in NODES and isinstance(values, Mapping) for node, values in value.items()):
+            example = "{'valve_simulator': {'damping': 0.7}}"
+            raise ParameterError(
+                f"parameters are a dict by node: {example}; the nodes are {', '.join(NODES)}"
+            )
+        sections = {}
+        for node, values in value.items():
+            checked = [files.parse_setting(text, {node: NODES[node]}) for text in _settings(values)]
+            sections[f"/**/{node}"] = {parameter: by_node[node] for parameter, by_node in checked}
+        value = Parameters(as_yaml(sections), {})
     if isinstance(value, Parameters):
         path = _new(folder / value.name)
         value.save(path)
         return str(path)
-    if name == "command" and not isinstance(value, (str, os.PathLike)):
-        kind = type(value).__name__
-        raise ParameterError(f"command is a {kind}; give an array with one number [V] per sample, or a file")
-    if not isinstance(value, (str, os.PathLike, int, float, np.number)):
-        raise ParameterError(f"{name} is a {type(value).__name__}; give a word or a number")
+    if not isinstance(value, (str, os.PathLike, *(() if name in EXPECTED else (int, float, np.number)))):
+        expected = EXPECTED.get(name, "a word or a number")
+        raise ParameterError(f"{name} is a {type(value).__name__}; give {expected}")
     return str(value)
+
+
+def _settings(values: Mapping[str, Any]) -> list[str]:
+    """``values`` as NAME=VALUE."""
+    return [f"{n}={v if isinstance(v, str) else as_text(v)}" for n, v in outputs.plain({**values}).items()]
 
 
 def _new(path: Path) -> Path:
@@ -319,8 +352,8 @@ def _contents(file: Path) -> Iterator[tuple[str, Any]]:
 def load(path: str | os.PathLike[str]) -> Parameters:
     """The ROS 2 parameter file ``path``, checked; Parameters have .values by node, .text and .save(path).
 
-    Example: ``load("valve.yaml").values["valve_simulator"]["lvdt.noise"]``. The values are for reading: to
-    change one, give a task ``set={"lvdt.noise": 0.01}``, or a dict by node after the file.
+    Example: ``load("valve.yaml")["lvdt.noise"]``. The values are for reading: to change one, give a task
+    ``set={"lvdt.noise": 0.01}``, or a dict by node after the file.
     """
     file = Path(os.path.expanduser(path))
     return Parameters(values=files.load(str(file)), text=file.read_text(encoding="utf-8"), name=file.name)
@@ -356,16 +389,16 @@ def identify(*parameters: "Source", bag: str | os.PathLike[str] | None = None, *
     return _Call("identify", () if bag is None else (bag,), parameters, options).result("output")
 
 
-def tune(*parameters: "Source", **options: Any) -> Result:
+def tune(*parameters: "Source", controller: str | Law | None = None, **options: Any) -> Result:
     """Search the gains of one law for a valve and its spread, and verify them on other valves.
 
+    ``controller``: the law, default that of the parameters; call ``tune`` once for each law.
     Example: ``tune("valve.yaml", controller="dcarc", command=[motion], overshoot=None).parameters``
     Numbers: laws: by law the chosen gains, the front, verified, margins, limits, notes.
     """
-    law = options.get("controller")
-    if isinstance(law, str) and ("," in law or law == "all"):
-        raise ParameterError(f"controller is {law}; tune takes one law, call it for each")
-    return _Call("tune", (), parameters, options).result("output")
+    if isinstance(controller, str) and ("," in controller or controller == "all"):
+        raise ParameterError(f"controller is {controller}; tune takes one law, call it for each")
+    return _Call("tune", (), parameters, {"controller": controller, **options}).result("output")
 
 
 def margins(*parameters: "Source", **options: Any) -> Result:
@@ -398,19 +431,29 @@ def replay(bag: str | os.PathLike[str], *parameters: "Source", **options: Any) -
 
 
 def _describe_options() -> None:
-    """Add the options with the help of the command line to the docstring of each task, for help()."""
+    """Give each task its keywords, and their help from the command line, for help() and notebooks."""
     formatter, hidden = argparse.HelpFormatter(""), {"help", "params_file", *OUTPUTS}
     about = (__doc__ or "").partition("\n\n")[2]
     Result.__doc__ = f"{Result.__doc__}\n\n{about}"
     for task in (simulate, compare, identify, tune, margins, analyze, replay):
+        own = inspect.signature(task).parameters
+        keywords = [one for one in own.values() if one.kind is not one.VAR_KEYWORD]
         rows = [f"{inspect.cleandoc(task.__doc__ or '')}\n\nOptions, all of them keywords:"]
         for action in _commands().parsers[task.__name__]._actions:
-            if action.dest not in hidden:
-                metavar = "" if action.choices else formatter._format_args(action, "")
-                text = f"{action.dest}{metavar and f' ({metavar})'}: {formatter._expand_help(action)}"
-                text += f"; one of {', '.join(map(str, action.choices))}" if action.choices else ""
-                rows.append(textwrap.fill(text, 100, initial_indent="    ", subsequent_indent="        "))
+            if action.dest in hidden | own.keys():
+                continue
+            usual = float(action.default) if isinstance(action.default, str) else action.default
+            usual = None if usual == [] else usual
+            keywords.append(inspect.Parameter(action.dest, inspect.Parameter.KEYWORD_ONLY, default=usual))
+            value = "" if action.choices else formatter._format_args(action, "")
+            value = f"True or {value[1:-1]}" if action.nargs == "?" else "dict" if "=" in value else value
+            value = value.replace("FILE", "array or file") if action.dest in EXPECTED else value
+            value += ", or a list" if isinstance(action, argparse._AppendAction) and value != "dict" else ""
+            text = f"{action.dest}{value and f' ({value})'}: {_in_python(formatter._expand_help(action))}"
+            text += f"; one of {', '.join(map(str, action.choices))}" if action.choices else ""
+            rows.append(textwrap.fill(text, 100, initial_indent="    ", subsequent_indent="        "))
         task.__doc__ = "\n".join([*rows, "", about])
+        vars(task)["__signature__"] = inspect.Signature(keywords, return_annotation=Result)
 
 
 _describe_options()

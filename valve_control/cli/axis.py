@@ -26,7 +26,7 @@ def add_commands(commands: Any) -> None:
         "parameters' lists the parameters of axis_simulator and axis_controller.",
     )
     group = axis.add_argument_group("simulation")
-    common.law_option(group, "law of the valve (default: arc)")
+    common.law_option(group, "law of the valve (default: that of the files, else arc)")
     text = "upper level: axis_pid or axis_arc (axis_pid)"
     group.add_argument("--upper", dest="upper_level", metavar="LEVEL", help=text)
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (3.0)")

@@ -10,22 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control import interrupts
-from valve_control.cli.common import (
-    BUDGET,
-    CHATTER,
-    SEED,
-    THREADS,
-    VALVES,
-    law_option,
-    numbers,
-    output_group,
-    progress,
-    refuse,
-    say,
-    within,
-    write_json,
-    wrote,
-)
+from valve_control.cli import common
 from valve_control.design import priority
 from valve_control.design.commissioning.bench import Fault, Plan, SafetyLimits, check
 from valve_control.parameter import ParameterError, number, word
@@ -38,7 +23,7 @@ if TYPE_CHECKING:
 
 OF_PLAN = ("budget", "valves", "unseen", "seed", "threads", "sensor_delay")  # options
 FAILED = 1  # exit status if the parameters are the previous ones
-KEPT = f"limit of the chatter c_u ({CHATTER:g}, or more if no gains keep that)"
+KEPT = f"limit of the chatter c_u ({common.CHATTER:g}, or more if no gains keep that)"
 
 
 def add_commands(commands: Any) -> None:
@@ -54,34 +39,31 @@ def add_commands(commands: Any) -> None:
     commission.add_argument(
         "--node", default="/controller", metavar="NAME", help="full name of the controller node (/controller)"
     )
-    numbers(
+    common.numbers(
         commission.add_argument_group("limits"),
-        ("max-voltage", within(0.1, 1e3), 4.0, "V", "largest voltage in both directions (%(default)g V)"),
-        ("travel", within(0.2, 1e3), 2.0, "V", "largest reading in both directions (%(default)g V)"),
+        ("max-voltage", common.within(0.1, 1e3), 4.0, "V", "largest voltage, up and down (%(default)g V)"),
+        ("travel", common.within(0.2, 1e3), 2.0, "V", "largest reading, up and down (%(default)g V)"),
     )
     group = commission.add_argument_group("tuning")
-    law_option(group, "law to tune (the present law)")
-    numbers(
+    common.law_option(group, "law to tune (the present law)")
+    common.numbers(
         group,
-        ("max-chatter", within(1e-6, 1e3), None, "C_U", KEPT),
-        ("sensor-delay", within(0.0, 1.0), 0.0, "S", "part of the dead time that is the sensor's (0 s)"),
-        ("budget", BUDGET, 200, "N", "number of sets of gains (%(default)s)"),
-        ("valves", VALVES, 6, "N", "number of valves in the search (%(default)s)"),
-        ("unseen", VALVES, 32, "N", "number of valves in the verification (%(default)s)"),
-        SEED,
-        (*THREADS[:2], priority.spare_cores(), "N", "number of threads (all cores but one)"),
+        ("max-chatter", common.within(1e-6, 1e3), None, "C_U", KEPT),
+        ("sensor-delay", common.within(0.0, 1.0), 0.0, "S", "part of the dead time in the sensor (0 s)"),
+        ("budget", common.BUDGET, 200, "N", "number of sets of gains (%(default)s)"),
+        ("valves", common.VALVES, 6, "N", "number of valves in the search (%(default)s)"),
+        ("unseen", common.VALVES, 32, "N", "number of valves in the verification (%(default)s)"),
+        common.SEED,
+        (*common.THREADS[:2], priority.spare_cores(), "N", "number of threads (all cores but one)"),
     )
     group = commission.add_argument_group("course of the commissioning")
     group.add_argument("--yes", action="store_true", help="do not ask before each step")
-    group.add_argument(
-        "--resume",
-        metavar="FOLDER",
-        help="go on after the last whole test of a failed commissioning in FOLDER, which is the --folder too",
-    )
+    text = "go on after the last whole test of a failed commissioning in FOLDER, which is the --folder too"
+    group.add_argument("--resume", metavar="FOLDER", help=text)
     group.add_argument("--undo", action="store_true", help="restore the previous parameters and exit")
     group.add_argument("--activate", action="store_true", help="with --undo: activate the controller too")
     text = "folder of the previous parameters and the report (out/commission)"
-    output_group(commission).add_argument("--folder", default="out/commission", help=text)
+    common.output_group(commission).add_argument("--folder", default="out/commission", help=text)
     commission.set_defaults(run=_commission)
 
 
@@ -104,7 +86,7 @@ def _commission(arguments: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace) -> None:
     name, who = ("resume", "with --undo") if arguments.undo else ("activate", "without --undo")
-    refuse(arguments, [name], f"commission {who}")
+    common.refuse(arguments, [name], f"commission {who}")
     arguments.folder = arguments.resume or arguments.folder
     if not all(part.isidentifier() for part in arguments.node.strip("/").split("/")):
         raise ParameterError(f"--node {arguments.node} is no full name of a node, such as /boom/controller")
@@ -116,7 +98,7 @@ def _folder(arguments: argparse.Namespace) -> "Folder":
     from valve_control.design.commissioning.folder import Folder
 
     node, limits = "/" + arguments.node.strip("/"), SafetyLimits(arguments.max_voltage, arguments.travel)
-    return Folder(Path(arguments.folder), node, limits, lambda path: wrote(arguments, path))
+    return Folder(Path(arguments.folder), node, limits, lambda path: common.wrote(arguments, path))
 
 
 def _backup(folder: "Folder") -> "Values":
@@ -139,11 +121,15 @@ def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
     folder = _folder(arguments)
     count = sequence.restore(controller, _backup(folder))
     folder.mark(UNDONE)
-    say(arguments, f"{count} parameters of {folder.node} set back; all are as before the commissioning")
+    common.say(
+        arguments, f"{count} parameters of {folder.node} set back; all are as before the commissioning"
+    )
     if arguments.activate:
         controller.on()
     if not controller.active:
-        say(arguments, "the controller is inactive and gives 0 V; --undo --activate lets it work again")
+        common.say(
+            arguments, "the controller is inactive and gives 0 V; --undo --activate lets it work again"
+        )
     return 0
 
 
@@ -156,7 +142,7 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     plan = Plan(
         limits=folder.limits,
         law=arguments.controller or word(before, "controller"),
-        chatter=CHATTER if arguments.max_chatter is None else arguments.max_chatter,
+        chatter=common.CHATTER if arguments.max_chatter is None else arguments.max_chatter,
         firm=arguments.max_chatter is not None,
         gives_way=True,
         **{name: getattr(arguments, name) for name in OF_PLAN},
@@ -165,11 +151,11 @@ def _run(arguments: argparse.Namespace, controller: "Controller") -> int:
     records = {}
     if arguments.resume is not None:
         records = folder.tests(number(before, "sample_period"))
-        say(arguments, f"{folder.path} has whole tests: {', '.join(sorted(records))}")
+        common.say(arguments, f"{folder.path} has whole tests: {', '.join(sorted(records))}")
     controller.meet_valve()
     aside = folder.begin(before)
     if aside is not None:
-        say(arguments, f"moved the files of an earlier commissioning to {aside}")
+        common.say(arguments, f"moved the files of an earlier commissioning to {aside}")
     reversal, steps = sequence.Reversal(), _Steps(arguments, folder)
     try:
         with contextlib.closing(steps), sequence.reversible(controller, before, reversal):
@@ -203,11 +189,11 @@ class _Steps:
 
     def __init__(self, arguments: argparse.Namespace, folder: "Folder") -> None:
         self.tested, self.fitted, self.refused = folder.tested, folder.fitted, folder.refused
-        self._arguments, self._step, self._bar = arguments, "", progress(0, "")
+        self._arguments, self._step, self._bar = arguments, "", common.progress(0, "")
 
     def confirm(self, text: str) -> bool:
         """Whether to go on; the question says what comes next."""
-        say(self._arguments, f"next: {text}")
+        common.say(self._arguments, f"next: {text}")
         if self._arguments.yes:
             return True
         print("go on? [y/N] ", end="", file=sys.stderr, flush=True)
@@ -217,7 +203,7 @@ class _Steps:
         """Say that the step ``name`` begins, and now and then that ``done`` of ``total`` are over."""
         if name != self._step:
             self.close()
-            self._step, self._bar = name, progress(round(total), f"({name})")
+            self._step, self._bar = name, common.progress(round(total), f"({name})")
             print(f"{name} …", file=sys.stderr, flush=True)
         self._bar.update(round(min(done, total)) - self._bar.n)
         if done >= total:
@@ -234,7 +220,7 @@ def _report(arguments: argparse.Namespace, result: "Result", folder: "Folder") -
 
     verified = result.verification
     before = f"; {1e3 * verified.former.e_rms:.2f} mV with the previous parameters" if verified.former else ""
-    say(
+    common.say(
         arguments,
         f"{result.tuned.law}: e_rms {1e3 * verified.measured.e_rms:.2f} mV, c_u {verified.measured.c_u:.3f} "
         f"on the running valve ({1e3 * verified.expected.e_rms:.2f} mV, {verified.expected.c_u:.3f} in "
@@ -242,7 +228,7 @@ def _report(arguments: argparse.Namespace, result: "Result", folder: "Folder") -
     )
     table = limits.as_text(result.tuned.limits, f"sets of gains of {result.tuned.law}")
     for line in (*result.notes, *result.tuned.notes, *table):
-        say(arguments, line)
+        common.say(arguments, line)
     for path in folder.results:
-        wrote(arguments, path)
-    write_json(arguments, sequence.as_dict(result))
+        common.wrote(arguments, path)
+    common.write_json(arguments, sequence.as_dict(result))

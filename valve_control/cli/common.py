@@ -4,6 +4,7 @@
 
 import argparse
 import contextlib
+import difflib
 import io
 import os
 import sys
@@ -56,13 +57,15 @@ def within(least: float, most: float) -> Callable[[str], float]:
 
 
 def _law(name: str) -> str:
-    """Type of an option for a law, which says why one of another package is left out."""
+    """Type of an option for a law, which says why one is left out, or which is nearest."""
     if name in LEFT_OUT:
         raise argparse.ArgumentTypeError(LEFT_OUT[name])
+    if name not in LAWS and (near := difflib.get_close_matches(name.lower(), LAWS)):
+        raise argparse.ArgumentTypeError(f"there is no law '{name}'; did you mean '{near[0]}'?")
     return name
 
 
-def law_option(group: Any, text: str = "control law (default: arc)") -> None:
+def law_option(group: Any, text: str = "control law (default: that of the files, else arc)") -> None:
     """Add --controller, with the help ``text``."""
     group.add_argument("--controller", type=_law, choices=LAWS, help=text)
 

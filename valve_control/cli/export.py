@@ -24,16 +24,9 @@ def add_commands(commands: Any) -> None:
     )
     group = options.add_argument_group("export")
     common.law_option(group)
-    group.add_argument(
-        "--plant",
-        choices=("valve",),
-        help="export the simulated valve instead of a law",
-    )
-    group.add_argument(
-        "--watch",
-        action="store_true",
-        help="export the law with the supervision of LVDT and command: gaps, 0 V on faults, limits",
-    )
+    group.add_argument("--plant", choices=("valve",), help="export the simulated valve instead of a law")
+    text = "export the law with the supervision of LVDT and command: gaps, 0 V on faults, limits"
+    group.add_argument("--watch", action="store_true", help=text)
     common.parameter_options(group, "any parameter")
     output = common.output_group(options)
     text = "new folder, or new file of an FMU"

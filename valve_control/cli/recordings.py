@@ -53,9 +53,8 @@ def add_commands(commands: Any) -> None:
     )
     analyze.set_defaults(run=_analyze)
     _add_replay(commands, shared)
-    bag = commands.add_parser(
-        "bag", help="copy a damaged or unfinished bag", description="Copy a damaged or unfinished bag."
-    )
+    text = "copy a damaged or unfinished bag"
+    bag = commands.add_parser("bag", help=text, description=f"{text.capitalize()}.")
     tasks = bag.add_subparsers(dest="bag_task", required=True, metavar="TASK")
     recover = tasks.add_parser(
         "recover",

@@ -14,27 +14,7 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from valve_control.axis.tables import ROS_NODES
-from valve_control.cli.common import (
-    SEED,
-    WITH_BAG,
-    Parser,
-    bag_options,
-    changes_of,
-    csv_text,
-    deliver,
-    law_option,
-    load,
-    names_of_files,
-    numbers,
-    output_group,
-    parameter_options,
-    progress,
-    refuse,
-    tell_notes,
-    valve_of,
-    write_json,
-    wrote,
-)
+from valve_control.cli import common
 from valve_control.control import closed_loop
 from valve_control.control.analysis import limit_cycle
 from valve_control.control.analysis.figures import Trace, draw_traces
@@ -54,17 +34,17 @@ FIGURE = "command, position, error and voltage as PNG or SVG"
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
 
-def valve_options() -> Parser:
+def valve_options() -> common.Parser:
     """Parser with the options that say which valve and gains, for what has no motion and no noise."""
-    options = Parser(add_help=False)
+    options = common.Parser(add_help=False)
     options.set_defaults(scenario=None, command=None, duration=None, seed=None)
     _valve_options(options.add_argument_group("valve and gains"), "controller or valve")
     return options
 
 
-def setup_options(several: bool = False, log: str = "") -> Parser:
+def setup_options(several: bool = False, log: str = "") -> common.Parser:
     """Parser with the options that say what is simulated; ``several`` commands; ``log``: what else is one."""
-    options = Parser(add_help=False)
+    options = common.Parser(add_help=False)
     group = options.add_argument_group("simulation")
     _valve_options(group, "controller, valve or command")
     group.add_argument("--scenario", choices=SCENARIOS[:-1], help="command shape (default: point_to_point)")
@@ -76,21 +56,22 @@ def setup_options(several: bool = False, log: str = "") -> Parser:
         + ("; can be repeated" if several else log),
     )
     group.add_argument("--duration", type=float, metavar="S", help="length [s] (6.0, or that of --command)")
-    numbers(group, SEED if several else ("seed", int, None, "N", "seed of the LVDT noise (1)"))
+    common.numbers(group, common.SEED if several else ("seed", int, None, "N", "seed of the LVDT noise (1)"))
     return options
 
 
 def _valve_options(group: Any, nodes: str) -> None:
-    group.add_argument("--valve", choices=VALVES, help="valve model (default: fourth_order)")
+    text = "valve model (default: that of the files, else fourth_order)"
+    group.add_argument("--valve", choices=VALVES, help=text)
     group.add_argument("--sample-period", type=float, metavar="S", help="sample period [s] (0.001)")
-    parameter_options(group, f"any parameter of {nodes}; 'valve-control parameters' lists them")
+    common.parameter_options(group, f"any parameter of {nodes}; 'valve-control parameters' lists them")
 
 
-def delivery_options(points: bool = True) -> Parser:
+def delivery_options(points: bool = True) -> common.Parser:
     """Parser with the options that say how the commands come; ``points``: also as a trajectory."""
-    options = Parser(add_help=False)
+    options = common.Parser(add_help=False)
     group = options.add_argument_group("delivery of the commands")
-    numbers(
+    common.numbers(
         group,
         ("command-period", float, None, "S", "time [s] from one command to the next (one sample period)"),
         ("command-jitter", float, None, "S", "mean delay [s]; a command is late by up to twice this (0)"),
@@ -110,9 +91,9 @@ def add_commands(commands: Any) -> None:
         help="run one controller on one valve with one command",
         description="Run one controller on one simulated valve; print errors [V], rms voltage [V], chatter.",
     )
-    law_option(simulate)
-    bag_options(simulate.add_argument_group("command from a bag, or with --map from a log"))
-    output_group(simulate, figure=FIGURE, csv="traces as CSV", npz="traces as NPZ")
+    common.law_option(simulate)
+    common.bag_options(simulate.add_argument_group("command from a bag, or with --map from a log"))
+    common.output_group(simulate, figure=FIGURE, csv="traces as CSV", npz="traces as NPZ")
     simulate.set_defaults(run=_simulate)
     compare = commands.add_parser(
         "compare",
@@ -120,7 +101,7 @@ def add_commands(commands: Any) -> None:
         help="simulate all controllers",
         description="Run every controller on one valve and one command.",
     )
-    output_group(compare, figure=FIGURE)
+    common.output_group(compare, figure=FIGURE)
     compare.set_defaults(run=_compare)
     text = "list parameters with unit, range and meaning"
     parameters = commands.add_parser("parameters", help=text, description=PARAMETERS)
@@ -137,11 +118,11 @@ def settings_of(
     """
     more: dict[str, Any] = {}
     if arguments.command is not None:
-        refuse(arguments, ["scenario"], "--command")
+        common.refuse(arguments, ["scenario"], "--command")
         more = {"scenario": "array", "command_file": arguments.command}
     if getattr(arguments, "preview", None):
         more["message"] = "trajectory"
-    changes = changes_of(arguments, more=more, law=law, recorded=recorded is not None)
+    changes = common.changes_of(arguments, more=more, law=law, recorded=recorded is not None)
     usual = {node: defaults(table) for node, table in NODES.items()} | dict(recorded or {})
     return {node: updated(table, usual[node], changes[node]) for node, table in NODES.items()}
 
@@ -151,14 +132,14 @@ def _recorded(arguments: argparse.Namespace) -> tuple[dict[str, Values], Any]:
     from valve_control.recordings import recorded_command
     from valve_control.recordings.recording import align
 
-    refuse(arguments, ["duration"], "simulate with a bag")
+    common.refuse(arguments, ["duration"], "simulate with a bag")
     nodes = {node: NODES[node] for node in ("controller", "valve_simulator")}
     files.refuse_others(arguments.set, nodes, "simulate has the recorded command")
-    loaded = load(arguments, arguments.command)
-    valve = valve_of(arguments, arguments.command, loaded.valves)
+    loaded = common.load(arguments, arguments.command)
+    valve = common.valve_of(arguments, arguments.command, loaded.valves)
     signals, notes = align(valve), [*loaded.problems, *valve.problems]
     settings = settings_of(arguments, recorded=recorded_command.parameters_of(valve, signals, notes))
-    tell_notes(notes)
+    common.tell_notes(notes)
     return settings, recorded_command.command_of(valve, signals, settings["controller"])
 
 
@@ -170,7 +151,7 @@ def _command(arguments: argparse.Namespace, settings: Mapping[str, Values]) -> A
         build.check_memory(number(values, "duration") / number(values, "sample_period"))
         command = build.commands(values)
     if (most := np.max(np.abs(command))) > limit:
-        tell_notes([f"the command reaches {most:g} V; command_limit cuts it at {limit:g} V"])
+        common.tell_notes([f"the command reaches {most:g} V; command_limit cuts it at {limit:g} V"])
     return command
 
 
@@ -199,7 +180,7 @@ def title_of(arguments: argparse.Namespace, law: str, settings: Mapping[str, Val
         motion = Path(str(source["command_file"])).stem
     valve = settings["valve_simulator"]["valve"]
     gains = "recorded parameters" if _is_recording(arguments) else "default parameters"
-    return f"{law} ({names_of_files(arguments, gains)}) on the valve {valve}: {motion}"
+    return f"{law} ({common.names_of_files(arguments, gains)}) on the valve {valve}: {motion}"
 
 
 def _figure(
@@ -210,7 +191,7 @@ def _figure(
     arguments.draw = partial(draw_traces, traces=traces, title=title_of(arguments, law, settings))
     if arguments.figure is not None:
         arguments.draw([Path(arguments.figure)])
-        wrote(arguments, arguments.figure)
+        common.wrote(arguments, arguments.figure)
 
 
 def _run(arguments: argparse.Namespace, settings: Mapping[str, Values], command: Any) -> offline.Run:
@@ -221,7 +202,7 @@ def _run(arguments: argparse.Namespace, settings: Mapping[str, Values], command:
         if delivered is not None:
             raise ParameterError("points of a trajectory have their times; leave --command-period out")
         derivatives = build.derivatives(command, number(source, "sample_period"))
-    with progress(len(command), "samples", len(command) > offline.PIECE) as bar:
+    with common.progress(len(command), "samples", len(command) > offline.PIECE) as bar:
         run = offline.finite_run(
             settings["controller"],
             settings["valve_simulator"],
@@ -261,7 +242,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
     if _is_recording(arguments):
         settings, command = _recorded(arguments)
     else:
-        refuse(arguments, WITH_BAG, "simulate without a bag")
+        common.refuse(arguments, common.WITH_BAG, "simulate without a bag")
         settings = settings_of(arguments)
         command = _command(arguments, settings)
     arguments.settings, run = settings, _run(arguments, settings, command)
@@ -274,18 +255,18 @@ def _simulate(arguments: argparse.Namespace) -> None:
             print("estimates at the end: " + ", ".join(f"{name} {v:.4g}" for name, v in estimates))
     _traces(arguments, run)
     _figure(arguments, [run], settings)
-    write_json(arguments, offline.as_dict(run, settings))
+    common.write_json(arguments, offline.as_dict(run, settings))
 
 
 def _traces(arguments: argparse.Namespace, run: offline.Run) -> None:
     columns = {name: getattr(run, name) for name in ("time", "command", *closed_loop.SIGNALS)}
     columns |= {f"{run.controller}.{n}" if n in columns else n: row for n, row in run.terms.items()}
     if arguments.csv is not None:
-        deliver(arguments, arguments.csv, csv_text(columns, "%.10g"))
+        common.deliver(arguments, arguments.csv, common.csv_text(columns, "%.10g"))
     if arguments.npz is not None:
         stream = io.BytesIO()
         np.savez_compressed(stream, allow_pickle=False, **columns)
-        deliver(arguments, arguments.npz, stream.getvalue())
+        common.deliver(arguments, arguments.npz, stream.getvalue())
 
 
 def _compare(arguments: argparse.Namespace) -> None:
@@ -301,7 +282,7 @@ def _compare(arguments: argparse.Namespace) -> None:
         for run in runs:
             _print(run)
     _figure(arguments, runs, settings)
-    write_json(arguments, {"runs": [offline.as_dict(run, settings) for run in runs]})
+    common.write_json(arguments, {"runs": [offline.as_dict(run, settings) for run in runs]})
 
 
 def _parameters(arguments: argparse.Namespace) -> None:

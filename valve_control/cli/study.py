@@ -23,7 +23,7 @@ LIMIT = (
     "a loop with a larger error [V] in the last two seconds counts as unstable (0.15; if the command moves "
     "then, plus twice the tracking error of the valve without variations)"
 )
-FIX = ("--fix", "NAME", "quantity of the box that keeps its value ('study --box' lists them)")
+FIX = ("--fix", "NAME", "quantity of the box that keeps its value ('valve-control study --box' lists them)")
 
 
 def add_commands(commands: Any) -> None:

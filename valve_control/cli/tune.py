@@ -35,7 +35,7 @@ def _limit(off: float, least: float, most: float, unit: float = 1.0) -> Callable
 LIMITS: dict[str, common.Row] = {  # on every valve of the box, by fields of TuningLimits
     "gain_db": ("gain-margin", _limit(0.0, 0.0, 60.0), "3", "DB", "least gain margin, up and down"),
     "phase_deg": ("phase-margin", _limit(0.0, 0.0, 120.0), "20", "DEG", "least phase margin"),
-    "delay_s": ("delay-margin", _limit(0.0, 0.0, 1.0), "0.0005", "S", "least delay margin"),
+    "delay_s": ("delay-margin", _limit(0.0, 0.0, 1.0), "0.0005", "S", "least delay margin [s]"),
     "pause_s": ("pause", _limit(0.0, 0.0, 0.05), "0.01", "S", "longest harmless pause of the command"),
     "sensitivity_db": ("peak", _limit(math.inf, 0.1, 1e3), "12", "DB", "largest peak of the sensitivity"),
     "swing": ("swing", _limit(math.inf, 0.001, 1e3), "0.04", "V", "largest swing about rest by friction"),

@@ -222,9 +222,9 @@ def explained(what: str) -> Iterator[None]:
 def in_words(error: Exception) -> str:
     """The kind of ``error``, its text and the line that raised it."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith("<frozen ")]
-    text = f": {error}" if str(error) else ""
-    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
-    return f"{type(error).__name__}{text}{'' if isinstance(error, SyntaxError) else place}"
+    known = isinstance(error, SyntaxError) or frames[-1].name == "try_out"  # which calls the parts of a law
+    place = "" if known else f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+    return ": ".join(filter(None, [type(error).__name__, str(error)])) + place
 
 
 def _while_compiling(error: Exception) -> bool:

@@ -276,6 +276,7 @@ def law_function(values: Values) -> Callable[[float, float], float]:
     memory: list[Any] = []  # of lead and law
 
     def voltage(command: float, reading: float) -> float:
+        """Voltage [V] from ``command`` and ``reading`` [V], once for each sample."""
         wanted = saturate(command, limit)
         start = Start(reading, 0.0, reading, 0.0, 0.0)
         before, state = memory or (command_lead.initial(wanted), law.initial(params, start))

@@ -160,7 +160,7 @@ def tuned(
             f"no set within c_u {chatter:g}: the least is {least:.3g}; those up to {kept:.3g} are taken"
         )
     if chosen.verified.reasons and not points:
-        notes.append("valve-control margins --box shows where in the box a margin is missed")
+        notes.append("margins with --box shows where in the box a margin is missed")
     notes += chosen.verified.notes
     if math.isinf(chosen.verified.settling):
         share, band = 100.0 * chosen.verified.unsettled_share, 100.0 * steps.BAND
