@@ -61,9 +61,7 @@ def add_commands(commands: Any) -> None:
     group = tune.add_argument_group("objective")
     text = "limit of the mean chatter c_u (%(default)s); if no gains keep it, quieter ones are taken"
     common.numbers(group, ("max-chatter", common.within(1e-6, 1e3), common.CHATTER, "C_U", text))
-    group.add_argument(
-        "--preview", action="store_true", help="commands come with derivatives (topic spool_trajectory)"
-    )
+    group.add_argument("--preview", action="store_true", help="commands have derivatives (spool_trajectory)")
     group = tune.add_argument_group("limits on every valve of the box", "The word none switches a limit off.")
     common.numbers(group, *((*row[:4], f"{row[4]} (%(default)s)") for row in LIMITS.values()))
     group = tune.add_argument_group("search")
