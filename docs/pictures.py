@@ -512,7 +512,7 @@ def raised_gain(path: Path) -> None:
 @picture
 def commissioned(path: Path) -> None:
     """Verdict and valve in the report of the tutorial, steps 1 and 2, in the folder of the repository."""
-    screenshot(str(ROOT / "out" / "commission" / "report.html"), path, 1390)
+    screenshot(str(ROOT / "out" / "commission" / "report.html"), path, 1350)
 
 
 # Simulate
