@@ -382,7 +382,7 @@ def test_killed_it_leaves_the_valve_at_neutral_and_can_be_undone(ros, tmp_path):
         (["--max-voltage", "-1"], "--max-voltage: -1 is no number from 0.1"),
         (["--activate"], "commission without --undo takes no --activate"),
         (["--node", "a b"], "--node a b is no full name of a node"),
-        (["--controller", "pidd"], "invalid choice"),
+        (["--controller", "pidd"], "did you mean 'pid'"),
     ],
 )
 def test_what_cannot_be_is_one_sentence(run, tmp_path, arguments, words, monkeypatch):
