@@ -4,7 +4,7 @@
 
 Each run exchanges readings and voltages with a device of test/drivers in another process: CANopen behind an
 slcan adapter on a pseudo-terminal, Modbus on loopback. Jitter is how far the time between two readings is
-from the period. Prints the tables of docs/howto/canopen.md and docs/howto/modbus.md as Markdown.
+from the period. Prints tables as Markdown; docs/howto/canopen.md and docs/howto/modbus.md have parts.
 """
 
 import argparse
