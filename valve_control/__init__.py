@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Controls a proportional valve, after Bu and Yao. Begin with help(valve_control.simulate).
+"""Controls a proportional valve. Begin with docs/tutorials/notebook.ipynb or help(valve_control.simulate).
 
 simulate, compare   run one law, or all laws, on a simulated valve
 identify, tune      fit a model of a valve to a test; search the gains of a law for it
 margins             gain, phase and delay margin of given gains
 analyze, replay     indices and spectra of a bag or log; its readings through a law
-load                read a parameter file
+load                read a parameter file; commission, export, study: only as `valve-control` on the shell
 """
 
 from typing import TYPE_CHECKING, Any

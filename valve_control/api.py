@@ -3,9 +3,9 @@
 """The tasks as Python functions, for notebooks and scripts, with the names and defaults of the command line.
 
 Parameters (of valve, gains, command) are names of files, what ``load`` returns, ``.parameters`` of a result,
-or dicts by node, {"valve_simulator": {"lvdt.noise": 0.004}}; later ones win. A switch is True; None switches
-a limit off. ``command`` is an array with one number [V] per sample, or a file. ``controller`` is the name of
-a law, or the ``LAW`` of your file.
+or dicts by node (controller, valve_simulator, command_source): {"valve_simulator": {"lvdt.noise": 0.004}}.
+Later ones win. A switch is True; None switches a limit off. ``command`` is an array with one number [V] per
+sample, or a file. ``controller`` is the name of a law, or the ``LAW`` of your file.
 
 The Result is a dict of numbers, in V, V/s and s if the name has no unit; print() shows a table. It also has:
 
@@ -13,12 +13,13 @@ The Result is a dict of numbers, in V, V/s and s if the name has no unit; print(
     .plot()        a figure of matplotlib, from simulate, compare, and identify with a test
     .law()         the law of simulate as a function: voltage [V] = law(command [V], reading [V])
     .parameters    those of the valve from identify, or the gains from tune; .parameters.save("gains.yaml")
-    .passed        False if the gains of tune miss a limit; .parameters is then None
+    .passed        False if the gains of tune are not accepted; .parameters is then None
     .page          the report of analyze and replay in HTML
     .text          what print() shows
 
 Progress and notes go to standard error. Wrong input raises ParameterError, a bag or log that cannot be read
 BagError (both ValueErrors), a law that fails LawError (a RuntimeError), each with one sentence.
+docs/tutorials/notebook.ipynb shows most tasks. export, study and commission are commands of valve-control.
 """
 
 import argparse
@@ -364,7 +365,7 @@ def simulate(*parameters: "Source", **options: Any) -> Result:
 
     Example: ``simulate("valve.yaml", controller="pid", command=motion, set={"pid.kp": 2.0}).plot()``
     Numbers: indices, of the reading: e_M (largest error), e_F (in the last two seconds), e_rms, u_rms [V],
-    c_u (chatter) [-]; true_error, of the position: e_M, e_rms [V]; saturated (share of the samples); warning.
+    c_u (chatter) [-]; true_error, of the position: e_M, e_rms; saturated (share); steps: the worst; warning.
     Arrays: time [s], command, position (the true one), measurement, voltage [V], and the terms of the law.
     """
     return _Call("simulate", (), parameters, options).result("npz")
@@ -383,7 +384,7 @@ def identify(*parameters: "Source", bag: str | os.PathLike[str] | None = None, *
     """Fit transfer functions to a test: of ``bag`` (a bag or log), or of the simulated valve.
 
     Example: ``identify(bag="test.csv", map={"spool_position": "lvdt", "valve_voltage": "u"}).parameters``
-    Numbers: fits: numerator, denominator, delay_s of each order; lvdt: noise, resolution; gains.
+    Numbers: fits: numerator, denominator, delay_s of each order; lvdt; gains; friction, characteristic.
     Arrays: frequency_hz [Hz], real, imaginary [V/V] of the response, its deviation, coherence.
     """
     return _Call("identify", () if bag is None else (bag,), parameters, options).result("output")
@@ -394,7 +395,7 @@ def tune(*parameters: "Source", controller: str | Law | None = None, **options: 
 
     ``controller``: the law, default that of the parameters; call ``tune`` once for each law.
     Example: ``tune("valve.yaml", controller="dcarc", command=[motion], overshoot=None).parameters``
-    Numbers: laws: by law the chosen gains, the front, verified, margins, limits, notes.
+    Numbers: laws["dcarc"]: chosen (gains), front, verified (e_rms, c_u), margins, accepted, limits, notes.
     """
     if isinstance(controller, str) and ("," in controller or controller == "all"):
         raise ParameterError(f"controller is {controller}; tune takes one law, call it for each")

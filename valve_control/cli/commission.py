@@ -48,7 +48,7 @@ def add_commands(commands: Any) -> None:
     common.law_option(group, "law to tune (the present law)")
     common.numbers(
         group,
-        ("max-chatter", common.within(1e-6, 1e3), None, "C_U", KEPT),
+        ("max-chatter", common.within(1e-6, 1e3), None, "RATIO", KEPT),
         ("sensor-delay", common.within(0.0, 1.0), 0.0, "S", "part of the dead time in the sensor (0 s)"),
         ("budget", common.BUDGET, 200, "N", "number of sets of gains (%(default)s)"),
         ("valves", common.VALVES, 6, "N", "number of valves in the search (%(default)s)"),

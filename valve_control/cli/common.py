@@ -180,7 +180,7 @@ def output_group(options: argparse.ArgumentParser, **files: str) -> Any:
     return group
 
 
-def bag_options(group: Any, sources: str = "as for analyze", of: bool = True) -> None:
+def bag_options(group: Any, sources: str = "source of a signal, as for analyze", of: bool = True) -> None:
     """Add what is used of a bag: --map with help on its ``sources``, --of, --from, --to and --clock."""
     repeated(group, "--map", "PART=/TOPIC.FIELD", sources)
     if of:

@@ -33,11 +33,11 @@ def _limit(off: float, least: float, most: float, unit: float = 1.0) -> Callable
 
 
 LIMITS: dict[str, common.Row] = {  # on every valve of the box, by fields of TuningLimits
-    "gain_db": ("gain-margin", _limit(0.0, 0.0, 60.0), "3", "DB", "least gain margin, up and down"),
-    "phase_deg": ("phase-margin", _limit(0.0, 0.0, 120.0), "20", "DEG", "least phase margin"),
+    "gain_db": ("gain-margin", _limit(0.0, 0.0, 60.0), "3", "dB", "least gain margin, up and down"),
+    "phase_deg": ("phase-margin", _limit(0.0, 0.0, 120.0), "20", "deg", "least phase margin"),
     "delay_s": ("delay-margin", _limit(0.0, 0.0, 1.0), "0.0005", "S", "least delay margin [s]"),
     "pause_s": ("pause", _limit(0.0, 0.0, 0.05), "0.01", "S", "longest harmless pause of the command"),
-    "sensitivity_db": ("peak", _limit(math.inf, 0.1, 1e3), "12", "DB", "largest peak of the sensitivity"),
+    "sensitivity_db": ("peak", _limit(math.inf, 0.1, 1e3), "12", "dB", "largest peak of the sensitivity"),
     "swing": ("swing", _limit(math.inf, 0.001, 1e3), "0.04", "V", "largest swing about rest by friction"),
     "saturated": ("saturation", _limit(math.inf, 0.0, 1.0), "0.02", "X", "largest share of samples at u_max"),
     "overshoot": ("overshoot", _limit(math.inf, 0.0, 1e3, 0.01), "5", "%", "largest overshoot of steps"),
@@ -60,7 +60,7 @@ def add_commands(commands: Any) -> None:
     )
     group = tune.add_argument_group("objective")
     text = "limit of the mean chatter c_u (%(default)s); if no gains keep it, quieter ones are taken"
-    common.numbers(group, ("max-chatter", common.within(1e-6, 1e3), common.CHATTER, "C_U", text))
+    common.numbers(group, ("max-chatter", common.within(1e-6, 1e3), common.CHATTER, "RATIO", text))
     group.add_argument("--preview", action="store_true", help="commands have derivatives (spool_trajectory)")
     group = tune.add_argument_group("limits on every valve of the box", "The word none switches a limit off.")
     common.numbers(group, *((*row[:4], f"{row[4]} (%(default)s)") for row in LIMITS.values()))
