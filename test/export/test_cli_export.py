@@ -33,20 +33,10 @@ def make(folder, *words):
 @compiles
 def test_the_contract(run, tmp_path):
     (tmp_path / "gains.yaml").write_text(GAINS)
-    options = [
-        "--controller",
-        "oarc",
-        "--params-file",
-        "gains.yaml",
-        "--output",
-        "made",
-        "--json",
-        "about.json",
-    ]
-    status, out, err = run("export", *options)
-    assert (
-        status == 0 and err == "" and out.startswith("wrote made/ with oarc.h, oarc.c, check.csv, Makefile")
-    )
+    options = "--controller oarc --params-file gains.yaml --set reshaping.lead=0.003 --json about.json"
+    status, out, err = run("export", *options.split(), "--output", "made")
+    assert status == 0 and out.startswith("wrote made/ with oarc.h, oarc.c, check.csv, Makefile")
+    assert err == "note: the law alone has no lead of the command (reshaping.lead); --watch has it\n"
     folder = tmp_path / "made"
     text = (folder / "oarc.c").read_text()
     assert ".ks1 = 0x1.6800000000000p+6 /* 90.0 */," in text and "malloc" not in text

@@ -31,12 +31,8 @@ def add_commands(commands: Any) -> None:
     output = common.output_group(options)
     text = "new folder, or new file of an FMU"
     output.add_argument("--output", dest="folder", metavar="DIR", required=True, help=text)
-    output.add_argument(
-        "--float", action="store_true", help="use float instead of double; needs a C compiler"
-    )
-    output.add_argument(
-        "--fmu", type=int, choices=(2, 3), help="write an FMU of FMI 2.0 or 3.0; needs a C compiler"
-    )
+    output.add_argument("--float", action="store_true", help="float instead of double; needs a C compiler")
+    output.add_argument("--fmu", type=int, choices=(2, 3), help="FMU of FMI 2.0 or 3.0; needs a C compiler")
     options.set_defaults(run=_export)
 
 
@@ -68,6 +64,9 @@ def _export(arguments: argparse.Namespace) -> None:
         chosen = unit.plant(values)
     else:
         chosen = (unit.watched if arguments.watch else unit.law)(values)
+    lead = values.get("reshaping.lead"), values.get("reshaping.lead_accel")
+    if not (arguments.plant or arguments.watch) and any(lead):
+        common.tell_notes(["the law alone has no lead of the command (reshaping.lead); --watch has it"])
     with common.progress(len(chosen.table) + 1, "parameters") as bar:
         found = settable.find(chosen, bar.update)
         if arguments.fmu is not None:
