@@ -24,7 +24,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", glob("config/*.yaml")),
+        (f"share/{NAME}/config", glob("config/*.*")),
         (f"share/{NAME}/config/demo", glob("config/demo/*")),
         (f"share/{NAME}/config/tuned", glob("config/tuned/*")),
         (f"share/{NAME}/config/commands", glob("config/commands/*")),
