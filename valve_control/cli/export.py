@@ -64,8 +64,7 @@ def _export(arguments: argparse.Namespace) -> None:
         chosen = unit.plant(values)
     else:
         chosen = (unit.watched if arguments.watch else unit.law)(values)
-    lead = values.get("reshaping.lead"), values.get("reshaping.lead_accel")
-    if not (arguments.plant or arguments.watch) and any(lead):
+    if not (arguments.plant or arguments.watch) and values["reshaping.lead"]:
         common.tell_notes(["the law alone has no lead of the command (reshaping.lead); --watch has it"])
     with common.progress(len(chosen.table) + 1, "parameters") as bar:
         found = settable.find(chosen, bar.update)
