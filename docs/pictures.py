@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """``python docs/pictures.py [NAME ...]``: makes docs/figures/NAME.png for the tutorials and how-tos.
 
-Without a name it makes all of them. Each function below is one picture. It runs
-the commands of its page in a temporary folder and draws their results, or takes a picture of their report in
-Chromium. The pictures that other commands make are demo.png (``make demo``), axes.png (``make axis``),
-and compare_tuned.png (``make tuned``).
+Without a name it makes all of them. Each function below is one picture. It runs the commands of its page in
+a temporary folder and draws their results, or takes a picture of their report in Chromium. Two need a result
+in out/, and say which command makes it. The pictures that other commands make are demo.png (``make demo``),
+axes.png (``make axis``), and compare_tuned.png (``make tuned``).
 """
 
 import contextlib
@@ -75,17 +75,12 @@ def simulated(name: str, *words: str) -> dict[str, Any]:
     return columns(f"{name}.csv")
 
 
-def numbers_of_table(page: str, head: str) -> dict[str, list[float]]:
-    """Rows of the measured table in a page of docs whose line begins with ``head``, by their first word."""
-    lines = (ROOT / "docs" / page).read_text(encoding="utf-8").splitlines()
-    start = next(k for k, line in enumerate(lines) if line.startswith(head))
-    rows = {}
-    for line in lines[start + 1 :]:
-        words = line.split()
-        if len(words) < 2:
-            break
-        rows[words[0]] = [float("nan") if w == "-" else float(w) for w in words[1:]]
-    return rows
+def output_of(name: str, source: str) -> Path:
+    """File ``name`` in out/, which ``source`` makes. Exits with one sentence if it is not there."""
+    path = ROOT / "out" / name
+    if not path.exists():
+        raise SystemExit(f"there is no out/{name}; {source} makes it")
+    return path
 
 
 def screenshot(page: str, path: Path, height: int, top: int = 0) -> None:
@@ -512,7 +507,7 @@ def raised_gain(path: Path) -> None:
 @picture
 def commissioned(path: Path) -> None:
     """Verdict and valve in the report of the tutorial, steps 1 and 2, in the folder of the repository."""
-    screenshot(str(ROOT / "out" / "commission" / "report.html"), path, 1350)
+    screenshot(str(output_of("commission/report.html", "docs/tutorials/bench.md")), path, 1350)
 
 
 # Simulate
@@ -539,8 +534,11 @@ def crane_boom(path: Path) -> None:
 
 @picture
 def fault_reactions(path: Path) -> None:
-    """Measured reaction times of the page's table and their limits."""
-    rows = numbers_of_table("howto/faults.md", "reaction [ms]")
+    """Reaction times and limits of ``make faults``."""
+    rows: dict[str, list[float]] = {}  # ms: limit, then each law
+    for entry in json.loads(output_of("faults.json", "make faults").read_text(encoding="utf-8")):
+        if "driver" not in entry and entry["reaction_s"] is not None:
+            rows.setdefault(entry["fault"], [1e3 * entry["limit_s"]]).append(1e3 * entry["reaction_s"])
     figure, axis = plt.subplots(figsize=(9.0, 6.5))
     for y, (limit, *times) in enumerate(rows.values()):
         axis.plot(
