@@ -64,8 +64,9 @@ class Loop:
         reading = spoil(self.reading())
         self.k += 1
         if send:
-            voltage = self.supervisor.sample(reading, self.k - self.unnumbered, elapsed)
-            assert math.isfinite(voltage) and abs(voltage) <= 10.0
+            sent = []
+            voltage = self.supervisor.sample(reading, self.k - self.unnumbered, elapsed, sent.append)
+            assert math.isfinite(voltage) and abs(voltage) <= 10.0 and sent == [voltage]
             self.voltages.append(voltage)
         self.s = valve.step(self.p, self.s, self.supervisor.voltage)
         return self.supervisor.voltage

@@ -280,7 +280,8 @@ def sample(p: Params, memory: Memory, reading: float, lost: int, elapsed: float,
     """Voltage [V] until the next reading, after this one [V], before which ``lost`` ones did not come.
 
     A reading that is not finite is bridged as one that cannot be believed. ``elapsed`` [s]: real time since
-    the one before, 0 if it is not known; ``unpaced``: readings come at a wrong period.
+    the one before, 0 if it is not known; ``unpaced``: readings come at a wrong period. What is watched after
+    the law's step may switch off: then 0 V is for the next reading, since the voltage of this one is out.
     """
     stood = overdue(p, memory, reading, lost, elapsed)
     lost += stood
@@ -323,6 +324,7 @@ def sample(p: Params, memory: Memory, reading: float, lost: int, elapsed: float,
     if not advance(p, memory, 0, reading):
         leave_the_finite(p, memory)
     voltage = memory.voltage
+    given = voltage_in_force(p, memory)
     memory.measurement = reading
     memory.velocity = velocity.step(p.lvdt.tachometer, memory.velocity, reading)
     weigh(p, memory, reading, applied, 1 + gap)
@@ -331,7 +333,7 @@ def sample(p: Params, memory: Memory, reading: float, lost: int, elapsed: float,
         confront(p, memory)
     if memory.law is not None and p.cycles.cycling.amplitude > 0.0:
         watch_cycles(p, memory, reading, voltage)
-    return voltage_in_force(p, memory)
+    return given
 
 
 def overdue(p: Params, memory: Memory, reading: float, lost: int, elapsed: float) -> int:
