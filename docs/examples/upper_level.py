@@ -1,12 +1,14 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""An upper level of a few lines: a command for each reading."""
+"""An upper level of a few lines: a command for each reading, none while the controller is in `safe`."""
 
 import signal
 import threading
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 
@@ -16,12 +18,22 @@ class UpperLevel(Node):
 
     def __init__(self) -> None:
         super().__init__("upper_level")
+        self.controller = self.resolve_topic_name("controller").lstrip("/")  # as diagnostics name it
+        self.safe = False  # the controller gives 0 V
         self.command = self.create_publisher(Float64, "spool_command", 10)
-        self.create_subscription(Float64, "spool_position", self.on_reading, 10)
+        self.create_subscription(Float64, "spool_position", self.on_reading, qos_profile_sensor_data)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
 
     def on_reading(self, reading: Float64) -> None:
         """One command [V] for each reading [V]."""
-        self.command.publish(Float64(data=1.0 - 0.2 * reading.data))
+        if not self.safe:
+            self.command.publish(Float64(data=1.0 - 0.2 * reading.data))
+
+    def on_diagnostics(self, message: DiagnosticArray) -> None:
+        """Take the level of the controller, which comes at once when it changes."""
+        for status in message.status:
+            if status.name == self.controller:
+                self.safe = status.level == DiagnosticStatus.ERROR
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from bench import LIMIT, controller, get_double, spin_until
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
@@ -119,6 +120,16 @@ def test_upper_level_answers_each_reading(ros):
 
         spin_until(ros, answered, "command")
         assert commands[0] == pytest.approx(0.6)
+        diagnostics, unanswered = ros.create_publisher(DiagnosticArray, "/diagnostics", 10), []
+
+        def silent():
+            safe = DiagnosticStatus(level=DiagnosticStatus.ERROR, name="controller")
+            diagnostics.publish(DiagnosticArray(status=[safe]))
+            unanswered.append(not answered())
+            commands.clear()
+            return len(unanswered) > 10 and all(unanswered[-10:])
+
+        spin_until(ros, silent, "silence in `safe`")
         child.send_signal(signal.SIGINT)
         assert child.wait(LIMIT) == 0
     finally:
