@@ -121,9 +121,9 @@ def test_upper_level_answers_each_reading(ros):
         spin_until(ros, answered, "command")
         assert commands[0] == pytest.approx(0.6)
         diagnostics, unanswered = ros.create_publisher(DiagnosticArray, "/diagnostics", 10), []
+        safe = DiagnosticStatus(level=DiagnosticStatus.ERROR, name="controller")
 
         def silent():
-            safe = DiagnosticStatus(level=DiagnosticStatus.ERROR, name="controller")
             diagnostics.publish(DiagnosticArray(status=[safe]))
             unanswered.append(not answered())
             commands.clear()
