@@ -20,7 +20,7 @@ from valve_control.parameter import defaults, lookup
 ROOT = Path(__file__).resolve().parents[1]
 FILES = {path.name.split(".")[0]: path for path in (ROOT / "launch").glob("*.launch.xml")}
 EVERY = {"namespace", "simulate", "record", "bag", "dashboard", "port", "params_file"}
-VALVE = EVERY | {"controller", "valve", "rate", "driver"}
+VALVE = EVERY | {"controller", "valve", "rate", "driver", "autostart"}
 ARGUMENTS = {  # that the docs name
     "valve": VALVE,
     "cascade": VALVE | {"scenario", "duration"},
