@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
 from valve_control.control.plant import valve
 from valve_control.control.plant.sensor import Lvdt, reading
@@ -138,6 +137,8 @@ def substep(
     magnet: Magnet, spool: Spool, friction: Friction, dither_rate: float, period: float, finer: int
 ) -> Substep:
     """Coefficients of substeps that are short enough, times 1/``finer``, at a ``period`` [s]."""
+    import scipy.linalg  # takes a while
+
     held = spool.gain * (spool.flow_force + friction.stiffness)
     fastest = spool.natural_frequency * math.sqrt(max(1.0, 1.0 + held))
     longest = min(LONGEST, COIL * magnet.coil, ANGLE / fastest)

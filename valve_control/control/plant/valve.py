@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
 from valve_control.control.plant.saturation import saturate
 from valve_control.control.plant.sensor import Lvdt, reading
@@ -122,6 +121,8 @@ def design(
     lvdt: Lvdt,
 ) -> Params:
     """Valve with ``model``, discretised exactly at ``period`` [s]."""
+    import scipy.linalg  # takes a while
+
     a, b = realisation(model)
     n = len(b)
     augmented = np.zeros((n + 1, n + 1))

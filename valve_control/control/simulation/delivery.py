@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import Akima1DInterpolator
 
 from valve_control.arrays import Floats
 from valve_control.control.compiling import compile_function
@@ -64,8 +63,7 @@ def received(values: Values, wanted: Floats, delivery: Delivery | None) -> Float
 def messages(wanted: Floats, delivery: Delivery, period: float) -> tuple[Floats, Floats, Floats]:
     """Commands [V], their stamps [s] by the sender's clock, and the times [s] at which they come.
 
-    ``wanted`` [V]: one entry for each sample ``period`` [s]; between them Akima's spline, which does not
-    overshoot a step.
+    ``wanted`` [V]: one entry for each sample ``period`` [s]; between them Akima's spline, without overshoot.
     """
     n, random = len(wanted), np.random.default_rng(delivery.seed)
     step = delivery.period * (1.0 + delivery.drift)
@@ -81,6 +79,8 @@ def messages(wanted: Floats, delivery: Delivery, period: float) -> tuple[Floats,
     whole = np.abs(at - np.round(at)) * period < TOGETHER
     commands = np.asarray(wanted[np.round(at).astype(int)], dtype=np.float64)
     if not whole.all():
+        from scipy.interpolate import Akima1DInterpolator  # takes a while
+
         commands[~whole] = Akima1DInterpolator(np.arange(n), wanted)(at[~whole])
     came: Floats = np.maximum.accumulate(sent + late)
     return commands, np.asarray(sent / (1.0 + delivery.drift), dtype=np.float64), came
