@@ -46,9 +46,9 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
     (tmp_path / "other.yaml").write_text(other)
     (tmp_path / "both.yaml").write_text(other + "controller:\n  ros__parameters: {arc: {k1: 99.0}}\n")
     (tmp_path / "twice.yaml").write_text("controller:\n  ros__parameters: {arc.k1: 99.0, arc: {k1: 9.0}}\n")
-    (tmp_path / "one.csv").write_text("0.5\n")
+    (tmp_path / "comma.csv").write_text("0,5\n1,5\n")
     refused(run("simulate", "--params-file", "twice.yaml"), "twice.yaml gives arc.k1 twice")
-    refused(run("simulate", "--command", "one.csv"), "one.csv must hold one column of two or more")
+    refused(run("simulate", "--command", "comma.csv"), "comma.csv must hold one column", "decimal points", "(2, 2)")
     refused(run("simulate", "--params-file", "typing.yaml"), "controler", "alone")
     refused(run("simulate", "--params-file", "other.yaml"), "camera", "alone")
     refused(run("identify", "--params-file", "other.yaml"), "camera", "alone")
@@ -69,10 +69,8 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
         (["export", "--output", "e", "--set", "dcarc.denominator=[1.0, 2.0]"], ["dcarc.model=custom"]),
         (["study", "--replay", "1", "--output", "v.yaml", "--figure", "f.png"], ["--figure", "--replay"]),
         (["identify", "--set", "valve=second_order", "--order", "4", *QUICK], ["not support", "--order 2"]),
-        (
-            ["simulate", "--command-period", "0.01", "--command-jitter", "0.02"],
-            ["--command-jitter is 0.02 s"],
-        ),
+        (["simulate", "--command-period", "0.01", "--command-jitter", "0.02"], ["jitter is 0.02 s"]),
+        (["identify", "--data-sheet", "damping=1,2"], ["'1,2'", "write 1.2, not 1,2"]),
         (["study", "--threads", "10000"], ["--threads: 10000 is no whole number from 1 to"]),
         (["tune", "--controller", "pid", "--set", "pid.kp=3"], ["the search chooses"]),
         (["simulate", "--scenario", "sine", "--set", "frequency=500.0"], ["500 Hz", "Nyquist"]),

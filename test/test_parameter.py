@@ -31,6 +31,7 @@ def test_type_and_range_in_words(parameter, kind, words):
 @pytest.mark.parametrize(
     ("parameter", "value", "said"),
     [(GAIN, 120, "gain is 120; it must be a double (write 120.0, not 120)"),
+     (GAIN, "1,2", "gain is '1,2'; it must be a double (write 1.2, not 1,2)"),
      (GAIN, math.nan, "gain is nan; it must be finite"),
      (GAIN, 501.0, "gain is 501 1/s; it must lie between 0 and 500 1/s"),
      (COUNT, True, "count is True; it must be an integer"),

@@ -85,10 +85,10 @@ class Parameter(NamedTuple):
         return value  # type: ignore[no-any-return]
 
     def _wrong_type(self, value: object) -> str:
-        doubles = self.type_name.endswith(("double", "doubles"))
+        form = "1.2, not 1,2" if self.type_name == "double" and isinstance(value, str) else "120.0, not 120"
         quotes = isinstance(self.default, str) and not isinstance(value, list)
         article = "an" if self.type_name == "integer" else "a"
-        hint = " (write 120.0, not 120)" if doubles else " (write it in quotes)" if quotes else ""
+        hint = f" (write {form})" if "double" in self.type_name else " (write it in quotes)" * quotes
         return f"{self.name} is {value!r}; it must be {article} {self.type_name}{hint}"
 
     def _check_range(self, number: float, name: str) -> None:

@@ -379,8 +379,8 @@ def test_a_group_that_is_not_used_costs_nothing(tmp_path, reference):
 def test_units_are_told_where_they_are_not_known(tmp_path, reference):
     for units, note in (
         ("", "no column has a unit: all count as V"),
-        ("[s],[V],[bar],[V]\n", "lvdt in bar counts as V without @4..20mA or *FACTOR"),
-        ("s,V,mA,V\n", "lvdt in mA counts as V without @4..20mA or *FACTOR"),
+        ("[s],[V],[bar],[V]\n", "lvdt in bar counts as V without @%, @4..20mA or *FACTOR"),
+        ("s,V,mA,V\n", "lvdt in mA counts as V without @%, @4..20mA or *FACTOR"),
     ):
         (tmp_path / "t.csv").write_text(HEADER + units + text(rows(reference)))
         assert note in load(tmp_path / "t.csv", PLAIN).problems

@@ -46,8 +46,7 @@ def read(path: str) -> Floats:
     except (ValueError, EOFError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise ParameterError(
-            f"command file {path} must hold one number a line (CSV) or a one-dimensional array (NPY): "
-            f"{reason}"
+            f"command file {path} must hold one number a line (CSV) or a vector (NPY): {reason}"
         ) from error
     if array.dtype.kind not in "fiub":
         raise ParameterError(f"command file {path} must hold real numbers, not {array.dtype}")
@@ -56,7 +55,8 @@ def read(path: str) -> Floats:
         numbers = numbers.ravel()
     if numbers.ndim != 1 or numbers.size < 2:
         raise ParameterError(
-            f"command file {path} must hold one column of two or more numbers; its shape is {numbers.shape}"
+            f"command file {path} must hold one column of two or more numbers, with decimal points; its "
+            f"shape is {numbers.shape}"
         )
     if not np.all(np.isfinite(numbers)):
         first = int(np.flatnonzero(~np.isfinite(numbers))[0])

@@ -22,9 +22,8 @@ def notes(total: float, sensor: float) -> list[str]:
         return []
     late = f"{1e3 * (total - sensor):.3g} ms"
     return [
-        f"{late} of dead time count as the actuator's (--sensor-delay says how much is the sensor's): "
-        "readings alone do not tell the two apart, and where the choice is wrong the true spool stands off "
-        f"by its velocity times {late}"
+        f"{late} of dead time count as the actuator's for the laws (--sensor-delay says how much is the "
+        f"sensor's); if this is wrong, the true spool deviates by its velocity times {late}"
     ]
 
 

@@ -97,7 +97,7 @@ def fit_text(fit: Fit, measured: Response) -> str:
     """One fit to ``measured`` as the terminal shows it."""
     share = f", of which the model {100 * fit.model_error:.2g} %" if fit.model_error else ", all of it noise"
     width = f" ± {fit.gain_bound:.2g}" if fit.bounded else ""
-    late = f" with a delay of {1e3 * fit.delay:.3f} ms" if "delay" in fit.names else ""
+    late = f" with a dead time of {1e3 * fit.delay:.3f} ms" if "delay" in fit.names else ""
     poles, zeros = (roots_text(bode.roots(part), measured) for part in (fit.model[1], fit.model[0]))
     lines = [
         f"order {fit.order}: {model_text(fit.model)}{late}",
@@ -279,9 +279,10 @@ def draw_bode(paths: Sequence[Path], found: Identification, figure: Any = None) 
         lines = []
         for fit in found.fits:
             value = bode.held_response(fit.model, frequency, m.period, fit.delay)
-            label = f"order {fit.order}, error {100 * fit.error:.2g} %"
+            late = f" + {1e3 * fit.delay:.2g} ms dead time" if "delay" in fit.names else ""
+            label = f"order {fit.order}{late}, error {100 * fit.error:.2g} %"
             lines.append(Line(label, frequency, read(value)))
-        lines.append(Line(f"measured ({m.method})", m.frequency, read(m.value), "black", "o"))
+        lines.append(Line("measured", m.frequency, read(m.value), "black", "o"))
         plots.append(Plot(title, lines))
     plots.append(Plot("coherence", [Line("", m.frequency, m.coherence, "gray")]))
     draw_columns(paths, {"": plots}, "frequency [Hz]", found.source, logarithmic_x=True, figure=figure)

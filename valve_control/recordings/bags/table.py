@@ -275,7 +275,7 @@ class TableFile:
                 notes.append(f"{name} is empty in {empty} of {len(rows)} rows")
         bare = [self.columns[i] for i in found if scales[self.topics[i].name] == ONE]
         unknown = [c for c in bare if c.unit and c.unit.lower() not in UNITS]
-        notes += [f"{c.bare_name} in {c.unit} counts as V without @4..20mA or *FACTOR" for c in unknown]
+        notes += [f"{c.bare_name} in {c.unit} counts as V without @%, @4..20mA or *FACTOR" for c in unknown]
         if bare and not any(c.unit for c in used):
             notes.append("no column has a unit: all count as V")
         return list(dict.fromkeys(notes))
