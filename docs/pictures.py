@@ -348,18 +348,18 @@ def solenoid_curve(path: Path) -> None:
 @picture
 def wiring(path: Path) -> None:
     """Wiring of a card on a serial line."""
+    card, stop = "card with its\nown watchdog", "emergency stop,\na switch in the\nenable line"
     boxes = {
-        "controller": (0.0, 0.0), "valve_driver": (1.7, 0.0), "card": (3.4, 0.0),
-        "emergency\nstop": (3.4, 1.4), "amplifier": (5.6, 0.8), "LVDT\nconverter": (5.6, -0.8),
-        "valve": (7.2, 0.0),
+        "controller": (0.0, 0.0), "valve_driver": (1.7, 0.0), card: (3.5, 0.0), stop: (3.5, 1.6),
+        "amplifier": (5.9, 0.9), "LVDT\nconverter": (5.9, -0.8), "valve": (7.4, 0.0),
     }  # fmt: skip
     arrows = [
         ("controller", "valve_driver", "<->valve_voltage\nspool_position"),
-        ("valve_driver", "card", "<->serial line"),
-        ("card", "amplifier", "analogue output"),
-        ("card", "emergency\nstop", "enable line"),
-        ("emergency\nstop", "amplifier", "enable line"),
-        ("LVDT\nconverter", "card", "analogue input"),
+        ("valve_driver", card, "<->serial line"),
+        (card, "amplifier", "analogue output"),
+        (card, stop, "enable line"),
+        (stop, "amplifier", "enable line"),
+        ("LVDT\nconverter", card, "analogue input"),
         ("amplifier", "valve", "coil current"),
         ("valve", "LVDT\nconverter", "spool"),
     ]
@@ -507,7 +507,7 @@ def raised_gain(path: Path) -> None:
 @picture
 def commissioned(path: Path) -> None:
     """Verdict and valve in the report of the tutorial, steps 1 and 2, in the folder of the repository."""
-    screenshot(str(output_of("commission/report.html", "docs/tutorials/bench.md")), path, 1350)
+    screenshot(str(output_of("commission/report.html", "docs/tutorials/bench.md")), path, 1420)
 
 
 # Simulate

@@ -76,6 +76,18 @@ def test_voltages_and_readings_without_noise_are_the_valve():
     assert len(counted) <= 20 * (2 + len(valve_fit.LOW))  # it has converged long before its bound
 
 
+@pytest.mark.parametrize("changes", [{}, {"magnet": None, "presliding": 0.0, "friction": Friction(0.5, 1.0)}])
+def test_the_hysteresis_is_the_width_of_the_loop_of_a_slow_triangle(changes):
+    """As in a data sheet: rising less falling voltage at one position, here on both sides."""
+    found = plant_of(TRUE)._replace(**changes)
+    rising = np.arange(-8.0, 8.0, 2e-4)  # V
+    falling, levels = rising[::-1], [-4.0, 4.0]
+    whole = np.concatenate([falling, rising, falling])
+    _, up, down = np.split(valve_fit.positions(valve_fit.params(found, PERIOD), whole), 3)
+    widths = np.interp(levels, up, rising) - np.interp(levels, down[::-1], rising)
+    assert found.hysteresis == pytest.approx(np.mean(widths), rel=0.02)
+
+
 def test_dcarc_gets_to_know_the_solenoids():
     made, knows = known(sensor_delay=0.0002)
     values = updated(CONTROLLER, defaults(CONTROLLER), model.controller_values(knows, "dcarc"))
@@ -138,25 +150,15 @@ def test_the_reciprocal_is_the_power_series_of_the_valve(speed, damping, lag, ga
 @pytest.mark.campaign
 def test_a_search_that_begins_far_from_the_valve_goes_on_until_it_is_there():
     """A valve with much friction and hardly any hysteresis: its response has a third of its speed."""
-    true = {
-        "valve": "solenoid",
-        "solenoid.natural_frequency": 46.24,
-        "solenoid.damping": 0.98,
-        "solenoid.coil": 0.00516,
-        "solenoid.hysteresis": 0.0115,
-        "solenoid.gain": 0.9,
-        "solenoid.positive": 0.951,
-        "solenoid.dead_time": 0.00088,
-        "friction.coulomb": 1.077,
-        "friction.static_ratio": 1.3,
-        "friction.presliding": 0.0266,
-        "disturbance.offset": 0.262,
-        "lvdt.noise": 0.0012,
-    }
-    found = fitted(SupervisedValve(true), LIMITS)
+    true = Magnet(
+        speed=2.0 * math.pi * 46.24, damping=0.98, coil=0.00516, gain=0.878, sides=-0.05, hysteresis=0.0115,
+        overlap=0.0, coulomb=1.077, presliding=0.0266, static_ratio=1.3, offset=0.262, delay=0.00088,
+    )  # fmt: skip
+    values = valve_fit.values(plant_of(true), Rest(0.0, 0.0012, 0.0), PERIOD, 10.0)
+    found = fitted(SupervisedValve(values), LIMITS)
     assert found.magnet is not None and found.error < 1.0
-    assert found.magnet.speed == pytest.approx(2.0 * math.pi * 46.24, rel=0.05)
-    assert found.magnet.coil == pytest.approx(0.00516, rel=0.1)
+    assert found.magnet.speed == pytest.approx(true.speed, rel=0.05)
+    assert found.magnet.coil == pytest.approx(true.coil, rel=0.1)
 
 
 def test_what_a_law_was_told_of_an_earlier_friction_is_forgotten():

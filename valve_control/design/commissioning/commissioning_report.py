@@ -26,17 +26,13 @@ def page(found: Result) -> str:
     """The report as one page."""
     changes = [[name, as_text(found.before[name]), as_text(value)] for name, value in found.applied.items()]
     run = found.verification.record
+    model = valve_fit.simulated(found.tests.plant, found.tests.slow)
     return pages.page(
         "Commissioning",
         {
             "Verdict": _verdict(found),
             "The valve": _valve(found),
-            "Slow triangle": _figure(
-                found.tests.slow,
-                slice(None, None, THIN),
-                "model",
-                valve_fit.simulated(found.tests.plant, found.tests.slow),
-            ),
+            "Slow triangle": _figure(found.tests.slow, slice(None, None, THIN), "model", model),
             "Frequency response": _response(found),
             "Margins in the box": _margins(found),
             "Verification run": _figure(run, slice(None), "command", run.command),
@@ -75,30 +71,30 @@ def _verdict(found: Result) -> str:
 
 def _valve(found: Result) -> str:
     rest, static, valve = found.tests.rest, found.tests.static, found.tests.plant
+    corners = bode.model_corners(valve.model, valve.delay)
     rows = {
+        "-90° at": result.hertz(corners.minus_90),
+        "-3 dB at": result.hertz(corners.minus_3db),
+        "hysteresis as in a data sheet": f"{100.0 * valve.hysteresis / 10.0:.1f} % of 10 V",
         "noise at rest": f"{1e3 * rest.noise:.3g} mV",
         "step of the converter": f"{1e3 * rest.resolution:.3g} mV",
         "reading at 0 V": f"{1e3 * rest.position:z.1f} mV",
-        "static gain (slow triangle)": f"{static.gain:.4g} V/V",
-        "static gain (model)": f"{valve.model.static_gain:.4g} V/V",
+        "static gain": f"{valve.model.static_gain:.4g} V/V",
         "voltage that holds the spool at 0 V": f"{static.offset:z.2f} V",
         "friction in motion": f"{valve.friction.coulomb:.3g} V",
-        "friction at rest, over that": f"{valve.friction.static_ratio:.3g}",
-        "presliding of its bristles": f"{1e3 * valve.presliding:.3g} mV",
-        "dead zone after a turn": f"{static.dead_zone:.3g} V",
+        "friction at rest, over that in motion": f"{valve.friction.static_ratio:.3g}",
+        "elastic travel before the spool slides": f"{1e3 * valve.presliding:.3g} mV",
         "dead time": f"{1e3 * valve.delay:z.2f} ms",
         "poles": result.roots_text(bode.roots(valve.model.denominator)),
         "zeros": result.roots_text(bode.roots(valve.model.numerator)),
-        "-90° at": result.hertz(bode.model_corners(valve.model, valve.delay).minus_90),
         "rms residual over what noise and 3 % of the motion allow": f"{valve.error:.2g}",
     }
     if valve.magnet is not None:
-        units = {parameter.name: parameter.unit for parameter in VALVE}
         own = valve_fit.solenoid_values(valve.magnet, found.plan.sensor_delay)
         rows |= {
-            name: f"{value:.3g} {units[name]}".removesuffix(" -")
-            for name, value in own.items()
-            if name.startswith("solenoid.")
+            f"{p.text} ({p.name})": f"{own[p.name]:.3g} {p.unit}".removesuffix(" -")
+            for p in VALVE
+            if p.name.startswith("solenoid.") and p.name in own
         }
     return _table(rows)
 

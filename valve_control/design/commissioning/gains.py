@@ -137,8 +137,7 @@ def learning_path(fitted: Plant, law: str, travel: float) -> Values:
     """
     if law != dcarc.LAW.name:
         return {}
-    remanent = 0.0 if fitted.magnet is None else 0.5 * fitted.magnet.hysteresis
-    farthest = abs(fitted.model.static_gain) * (fitted.friction.coulomb + remanent)
+    farthest = abs(fitted.model.static_gain) * 0.5 * fitted.hysteresis
     return {"dcarc.learning_path": float(f"{2.0 * min(farthest, travel):.3g}")}
 
 

@@ -506,7 +506,7 @@ def _notes(plan: Plan, tests: Tests, tuned: Tuned, pauses: Mapping[str, int]) ->
         m = fitted.magnet
         yield (
             "a valve with solenoids describes the readings better than a linear one with friction: coil "
-            f"{1e3 * m.coil:.2g} ms, hysteresis {m.hysteresis:.2f} V, gains of the sides "
+            f"{1e3 * m.coil:.2g} ms, hysteresis of the magnet {m.hysteresis:.2f} V, gains of the sides "
             f"{m.positive:.3g} and {m.negative:.3g} times {m.gain:.3g} V/V, overlap {m.overlap:z.2f} V"
         )
     elif fitted.presliding > 0.0:

@@ -108,6 +108,11 @@ class Plant(NamedTuple):
     presliding: float = 0.0  # V  of the friction's bristles; 0.0: none, which the tests do not contradict
     magnet: Magnet | None = None  # a valve with solenoids, of which the others are a part; None: linear
 
+    @property
+    def hysteresis(self) -> float:
+        """Width [V] of the loop of position over slowly changed voltage, mean of both sides."""
+        return 2.0 * self.friction.coulomb + (0.0 if self.magnet is None else self.magnet.hysteresis)
+
 
 def values(fitted: Plant, rest: Rest, period: float, u_max: float, sensor_delay: float = 0.0) -> Values:
     """The ``fitted`` valve as parameters of the simulated one.
