@@ -32,7 +32,7 @@ def units() -> dict[str, tuple[Unit, bool]]:
         VALVE, defaults(VALVE), files.load(str(ros_file.config_folder() / "d3fxe.yaml"))["valve_simulator"]
     )
     made = {name: (unit.law(values(name)), False) for name in LAWS}
-    made |= {f"{name} --watch": (unit.watched(values(name)), False) for name in LAWS}
+    made |= {f"{name} --watch": (unit.supervised(values(name)), False) for name in LAWS}
     made |= {f"{name} --float": (unit.law(values(name)), True) for name in LAWS}
     made["valve"] = unit.plant(valve_values), False
     return made

@@ -208,14 +208,14 @@ def library(law: str) -> Any:
     values, plant = setting(law)
     with tempfile.TemporaryDirectory(prefix="valve_control-dirty-") as name:
         place = Path(name)
-        watched = unit.watched(values)
-        for stem, made in (("law", sources.make(watched)), ("valve", sources.make(unit.plant(plant)))):
-            header = watched.name if stem == "law" else stem
+        supervised = unit.supervised(values)
+        for stem, made in (("law", sources.make(supervised)), ("valve", sources.make(unit.plant(plant)))):
+            header = supervised.name if stem == "law" else stem
             (place / f"{stem}.h").write_text(made.header, encoding="utf-8")
             source = made.source.replace(f'"{header}.h"', f'"{stem}.h"')
             (place / f"{stem}.c").write_text(source, encoding="utf-8")
         inputs = [Path(__file__).with_suffix(".c"), place / "law.c", place / "valve.c"]
-        options = [f"-I{place}", f"-DNAME={watched.name}", "-fPIC", "-shared"]
+        options = [f"-I{place}", f"-DNAME={supervised.name}", "-fPIC", "-shared"]
         compiler.build(inputs, place / "run.so", options)
         return ctypes.CDLL(str(place / "run.so")).run
 

@@ -40,7 +40,7 @@ Array = npt.NDArray[np.float64]
 CONTROLLERS = tuple(LAWS)
 FEEDBACK = tuple(name for name, law in LAWS.items() if law.feedback)
 FORWARD = tuple(name for name, law in LAWS.items() if not law.feedback)
-WATCHED = tuple(name for name, law in LAWS.items() if law_watch.watched(law.term_labels))
+BOUNDED = tuple(name for name, law in LAWS.items() if law_watch.bounded_term(law.term_labels))
 U_MAX = 10.0  # V
 PERIOD = 0.001  # s
 HOLD = 20  # samples
@@ -180,7 +180,7 @@ FAULTS = (
     Fault("spool_stuck", "valve_simulator", "fault.valve", "stuck", 1500, "safe", "does not follow",
           1.0 / FREQUENCY + REPORT, FEEDBACK),
     Fault("valve_weak", "valve_simulator", "fault.valve", "weak", 1500, "safe", "does not follow",
-          1.0 / FREQUENCY + REPORT, WATCHED),
+          1.0 / FREQUENCY + REPORT, BOUNDED),
     Fault("controller_stopped", "controller", "", "", 400, "centred", "stood still",
           VOLTAGE_TIMEOUT + ALLOWANCE, CONTROLLERS),
 )  # fmt: skip

@@ -17,8 +17,8 @@ SANITIZED = f"CFLAGS={sources.FLAGS} {folder.WARNINGS} {' '.join(SANITIZERS)}"
 compiles = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
 
-def watched(**changes):
-    return unit.watched(changed.controller(**changes))
+def supervised(**changes):
+    return unit.supervised(changed.controller(**changes))
 
 
 def check(place, *words):

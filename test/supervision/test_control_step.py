@@ -23,8 +23,8 @@ WORDS = dict.fromkeys(
 WORDS = {word: i for i, word in enumerate(WORDS)}
 
 
-def watched(**changes):
-    return unit.watched(changed.controller(**changes))
+def supervised(**changes):
+    return unit.supervised(changed.controller(**changes))
 
 
 def random_faults(seed, count=12, within=7.5):
@@ -64,7 +64,7 @@ def compare(chosen, count, seed, faults=samples.FAULTS):
 
 
 def test_it_is_the_supervisor_bit_for_bit_through_all_faults():
-    off = compare(watched(controller="oarc"), 9600, 1)
+    off = compare(supervised(controller="oarc"), 9600, 1)
     assert off == {"", "lvdt_not_finite", "lvdt_silent", "lvdt_jump", "lvdt_out_of_range", "lvdt_frozen",
                    "lvdt_disagrees", "limit_cycle"}  # fmt: skip
 
@@ -80,7 +80,7 @@ OTHERS = [
 
 @pytest.mark.parametrize("changes", OTHERS, ids=[one["controller"] for one in OTHERS])
 def test_with_other_parameters_and_random_faults(changes):
-    compare(watched(**changes), 1500, 3, random_faults(5, within=1.4))
+    compare(supervised(**changes), 1500, 3, random_faults(5, within=1.4))
 
 
 def test_a_law_that_leaves_the_finite_numbers_is_switched_off(monkeypatch):
@@ -93,5 +93,5 @@ def test_a_law_that_leaves_the_finite_numbers_is_switched_off(monkeypatch):
     parts = {name: getattr(pid.module, name) for name in ("Params", "State", "Terms", "initial", "hold")}
     module = types.SimpleNamespace(**parts, step=step, __name__=pid.module.__name__)
     monkeypatch.setitem(LAWS, "pid", pid._replace(module=module))
-    chosen = watched(controller="pid", pid__form="plain")
+    chosen = supervised(controller="pid", pid__form="plain")
     assert "law_not_finite" in compare(chosen, 2500, 2)

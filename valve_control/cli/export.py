@@ -63,7 +63,7 @@ def _export(arguments: argparse.Namespace) -> None:
     if arguments.plant:
         chosen = unit.plant(values)
     else:
-        chosen = (unit.watched if arguments.watch else unit.law)(values)
+        chosen = (unit.supervised if arguments.watch else unit.law)(values)
     if not (arguments.plant or arguments.watch) and values["reshaping.lead"]:
         common.tell_notes(["the law alone has no lead of the command (reshaping.lead); --watch has it"])
     with common.progress(len(chosen.table) + 1, "parameters") as bar:

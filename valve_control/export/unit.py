@@ -20,7 +20,7 @@ from valve_control.export import kinds
 from valve_control.export.kinds import Kind, identifier
 from valve_control.parameter import Table, Values, number, word
 
-WATCHED = (
+SUPERVISION = (
     "command_limit",
     "command_timeout",
     "command.bridge",
@@ -32,7 +32,7 @@ WATCHED = (
     "reshaping.lead",
     "reshaping.lead_accel",
 )
-UNWATCHED = ("lvdt.period_limit",)  # the period is that of the machine's own timer
+NODES = ("lvdt.period_limit",)  # of nodes alone: in C the period is that of the machine's own timer
 
 
 class Unit(NamedTuple):
@@ -82,8 +82,8 @@ def _alone(values: Values) -> Unit:
     return Unit(found.name, found.text, True, found.module, found.build(values), table, values, found.build)
 
 
-def watched(values: Values) -> Unit:
-    """The law that ``controller`` of the controller's ``values`` names, under the watch.
+def supervised(values: Values) -> Unit:
+    """The law that ``controller`` of the controller's ``values`` names, under supervision.
 
     Raises ParameterError.
     """
@@ -95,7 +95,7 @@ def watched(values: Values) -> Unit:
         return module.design(values, inner.build(values))
 
     own = tuple(
-        p for p in CONTROLLER if p.name in WATCHED or (p.name.startswith("lvdt.") and p.name not in UNWATCHED)
+        p for p in CONTROLLER if p.name in SUPERVISION or (p.name.startswith("lvdt.") and p.name not in NODES)
     )
     curve = linearisation.PARAMETERS if on else ()
     table = (*inner.table, *(p for p in own if p not in inner.table), *curve)

@@ -60,7 +60,7 @@ def bound(law: Law, line: Any) -> types.SimpleNamespace:
         "State": memory,
         "Theta": hints["theta_initial"] if adapts else Theta,
         "law_resumed": control_step.with_estimates if adapts else control_step.law_resumed,
-        "watch_block": control_step.unwatched,
+        "watch_block": control_step.no_watches,
     }
     namespace = with_places({**places_of(law, line), **others})
     kinds = {control_step.Params: params, Memory: memory, Any | None: state}

@@ -68,7 +68,7 @@ def taken(p: Params, s: State, value: float, now: float) -> State:
     return State(saturate(value, p.limit), now + p.period, True, None, s.homing, s.origin)
 
 
-def welcomed(p: Params, s: State, reading: float, now: float) -> State:
+def held_here(p: Params, s: State, reading: float, now: float) -> State:
     """State when a law takes the valve at ``reading`` [V]: the spool stays there until a command comes."""
     if s.value is None:
         return s._replace(origin=reading)

@@ -12,7 +12,8 @@ import math
 from typing import Any, NamedTuple
 
 from valve_control.control.compiling import in_words
-from valve_control.control.laws import command_lead, linearisation, reshaping, velocity
+from valve_control.control.laws import command_lead, linearisation, reshaping
+from valve_control.control.laws import velocity as tachometer
 from valve_control.control.laws.places import law_hold, law_initial, law_step  # filled by binding.py
 from valve_control.control.laws.projection import Theta, clip
 from valve_control.control.laws.registry import LAWS
@@ -21,7 +22,6 @@ from valve_control.control.plant.saturation import saturate
 from valve_control.control.supervision import (
     answer,
     bumpless_transfer,
-    clock,
     command_course,
     command_watch,
     cycle_watch,
@@ -33,6 +33,7 @@ from valve_control.control.supervision import (
     rate,
     watch_table,
 )
+from valve_control.control.supervision import clock as clocks
 from valve_control.control.supervision import trajectory as points
 from valve_control.control.supervision.memory import (
     LATCH,
@@ -41,13 +42,13 @@ from valve_control.control.supervision.memory import (
     clear,
     count,
     expire,
-    forget_reported,
     forget_saturation,
+    forget_watches,
     latch,
     node_only,
     report,
-    reported_of,
-    stop_reporting,
+    step_watches,
+    stop_watches,
 )
 from valve_control.parameter import Values, number, word
 
@@ -85,18 +86,18 @@ def design(values: Values, law: Any, answered: bool = True) -> Params:
     kind = LAWS[word(values, "controller")]
     reshaped = kind.reshapes(law)
     least_cycle = number(values, "oscillation_limit") if kind.feedback else 0.0  # else they are the command's
-    watched = lvdt_trust.design(values, law)
+    trust = lvdt_trust.design(values, law)
     probation = lvdt_trust.PROBATION * number(values, "lvdt.disturbance") or math.inf
     return Params(
         law,
         command_watch.design(values),
-        watched,
+        trust,
         cycle_watch.Params(
-            oscillation.Params(least_cycle, watched.period),
-            cycle_watch.between(law.u_max, watched.period),
-            cycle_watch.between(min(law.u_max, probation), watched.period),
+            oscillation.Params(least_cycle, trust.period),
+            cycle_watch.between(law.u_max, trust.period),
+            cycle_watch.between(min(law.u_max, probation), trust.period),
         ),
-        watch_table.design(values, watched.comparison),
+        watch_table.design(values, trust.comparison),
         command_lead.build(values, reshaped),
         bumpless_transfer.design(number(values, "transfer_time"), number(values, "sample_period")),
         command_course.design(values),
@@ -197,8 +198,8 @@ def sent_at(p: Params, memory: Memory, stamp: float, since: float) -> float:
     if not (math.isfinite(stamp) and math.isfinite(since)):
         return memory.now + p.course.period
     came = memory.clock + since
-    memory.sender = clock.step(memory.sender, came, came - stamp)
-    return stamp + clock.offset(memory.sender) - clock.offset(memory.pulse)
+    memory.sender = clocks.step(memory.sender, came, came - stamp)
+    return stamp + clocks.offset(memory.sender) - clocks.offset(memory.pulse)
 
 
 def trajectory(p: Params, memory: Memory, point: points.Motion, stamp: float, since: float) -> bool:
@@ -254,7 +255,7 @@ def silence(p: Params, memory: Memory, elapsed: float, stalled: bool) -> float:
     """
     memory.now += elapsed
     memory.clock += elapsed
-    memory.pulse = clock.NOTHING  # what is reported of the gap is less than it was
+    memory.pulse = clocks.NOTHING  # what is reported of the gap is less than it was
     expire(memory)
     memory.course = None
     memory.trust = memory.trust._replace(sound=0)
@@ -269,7 +270,7 @@ def silence(p: Params, memory: Memory, elapsed: float, stalled: bool) -> float:
 def reset(p: Params, memory: Memory) -> None:
     """Set estimates and filters to their start, without a bump, and drop doubts about the LVDT."""
     end_doubt(memory)
-    forget_reported(memory)
+    forget_watches(memory)
     memory.pause = cycle_watch.NEVER
     memory.former = None
     if memory.law is not None:
@@ -291,7 +292,7 @@ def sample(p: Params, memory: Memory, reading: float, lost: int, elapsed: float,
     if is_behind(p, memory, elapsed):
         memory.pulse = memory.pulse._replace(offset=memory.pulse.offset + CATCH_UP * p.lvdt.period)
     memory.pulse = (
-        clock.NOTHING if unpaced else clock.step(memory.pulse, memory.clock, memory.clock - memory.now)
+        clocks.NOTHING if unpaced else clocks.step(memory.pulse, memory.clock, memory.clock - memory.now)
     )
     if lost > 0 and memory.course is not None and memory.course.stamp == expected == memory.course.sent:
         memory.course = command_course.postponed(memory.course, memory.now)  # without a stamp it is of now
@@ -315,22 +316,22 @@ def sample(p: Params, memory: Memory, reading: float, lost: int, elapsed: float,
     if memory.trust.blocked != "":
         back = recover(p, memory, reading, gap > 0 or unpaced or memory.now < memory.pause.until)
         if not back:
-            weigh(p, memory, reading, applied, 1 + gap)
+            compare_reading(p, memory, reading, applied, 1 + gap)
             return voltage_in_force(p, memory)
     elif not answers(p, memory, reading, 1 + gap):
         return voltage_in_force(p, memory)
     if memory.law is None:
         begin(p, memory, reading)
     if not advance(p, memory, 0, reading):
-        leave_the_finite(p, memory)
+        stop_failed_law(p, memory)
     voltage = memory.voltage
     given = voltage_in_force(p, memory)
     memory.measurement = reading
-    memory.velocity = velocity.step(p.lvdt.tachometer, memory.velocity, reading)
-    weigh(p, memory, reading, applied, 1 + gap)
+    memory.velocity = tachometer.step(p.lvdt.tachometer, memory.velocity, reading)
+    compare_reading(p, memory, reading, applied, 1 + gap)
     if memory.evidence is not None and memory.evidence.held == 0.0:  # this reading was the last of a block
         watch_block(p, memory, applied, memory.evidence.shown)
-        confront(p, memory)
+        check_plausibility(p, memory)
     if memory.law is not None and p.cycles.cycling.amplitude > 0.0:
         watch_cycles(p, memory, reading, voltage)
     return given
@@ -404,7 +405,7 @@ def bridge(p: Params, memory: Memory, gap: int, reading: float) -> None:
     finite = advance(p, memory, gap, reading)
     memory.command = memory.command._replace(value=newest)
     if not finite:
-        leave_the_finite(p, memory)
+        stop_failed_law(p, memory)
 
 
 def answers(p: Params, memory: Memory, reading: float, samples: int) -> bool:
@@ -434,15 +435,15 @@ def watch_block(p: Params, memory: Memory, applied: float, shown: plausibility.S
     last, doubted = memory.judged.standing, memory.trust.doubt.times > 0.0
     motion = shown.y3, shown.velocity, shown.u4, shown.warm == 0.0
     block = plausibility.Block(*motion, doubted, command, applied, last.second, last.grain)
-    reported_of(p.watches, memory, block)
+    step_watches(p.watches, memory, block)
 
 
 @node_only
-def unwatched(p: Params, memory: Memory, applied: float, shown: plausibility.Shown) -> None:
+def no_watches(p: Params, memory: Memory, applied: float, shown: plausibility.Shown) -> None:
     """Watches that only report, where nobody hears them: in C and its twin."""
 
 
-def weigh(p: Params, memory: Memory, reading: float, applied: float, samples: int) -> None:
+def compare_reading(p: Params, memory: Memory, reading: float, applied: float, samples: int) -> None:
     """Compare one more ``reading`` [V] with ``applied`` [V], which was on for ``samples`` periods before."""
     if p.lvdt.comparison is None:
         return
@@ -451,7 +452,7 @@ def weigh(p: Params, memory: Memory, reading: float, applied: float, samples: in
     memory.evidence = plausibility.step(p.lvdt.comparison, memory.evidence, reading, applied, float(samples))
 
 
-def confront(p: Params, memory: Memory) -> None:
+def check_plausibility(p: Params, memory: Memory) -> None:
     """Switch off if readings and voltage have shown together that the readings are wrong."""
     if p.lvdt.comparison is None or memory.evidence is None or memory.trust.blocked != "" or not p.answered:
         return
@@ -523,7 +524,7 @@ def judge_cycles(p: Params, memory: Memory, cycle: oscillation.State, high: floa
 # Off and on again
 
 
-def leave_the_finite(p: Params, memory: Memory) -> None:
+def stop_failed_law(p: Params, memory: Memory) -> None:
     """Switch off for a while: the law has produced NaN or infinity, or raised an error."""
     count(memory, "law_not_finite")
     memory.pause = cycle_watch.paused(p.lvdt, memory.pause, memory.now)
@@ -555,7 +556,7 @@ def switch_off(p: Params, memory: Memory, name: str, leapt: bool) -> None:
     memory.probe = lock_in.NOTHING
     memory.source = ""
     forget_saturation(memory)
-    stop_reporting(memory)
+    stop_watches(memory)
 
 
 def recover(p: Params, memory: Memory, reading: float, anew: bool) -> bool:
@@ -567,7 +568,7 @@ def recover(p: Params, memory: Memory, reading: float, anew: bool) -> bool:
     sound = 0 if anew else memory.trust.sound
     if sound == 0:
         memory.measurement = reading
-        memory.velocity = velocity.State(reading, 0.0)
+        memory.velocity = tachometer.State(reading, 0.0)
         if p.lvdt.comparison is not None:
             usual = 0.0 if memory.evidence is None else memory.evidence.shown.usual
             memory.evidence = plausibility.initial(p.lvdt.comparison, reading, 0.0, usual)
@@ -576,7 +577,7 @@ def recover(p: Params, memory: Memory, reading: float, anew: bool) -> bool:
     memory.trust = memory.trust._replace(sound=sound + 1)
     if memory.trust.sound < p.lvdt.recovery_samples or not resting or memory.now < memory.trust.doubt.until:
         memory.measurement = reading
-        memory.velocity = velocity.step(p.lvdt.tachometer, memory.velocity, reading)
+        memory.velocity = tachometer.step(p.lvdt.tachometer, memory.velocity, reading)
         return False
     if memory.evidence is not None:
         memory.evidence = plausibility.anew(memory.evidence)
@@ -584,15 +585,15 @@ def recover(p: Params, memory: Memory, reading: float, anew: bool) -> bool:
     memory.trust = memory.trust._replace(blocked="")
     if memory.trust.doubt.times > 0.0:
         report(memory, "lvdt_doubted", lvdt.TEXTS["doubted"])
-    welcome(p, memory, reading)
+    hold_here(p, memory, reading)
     take_over(p, memory, memory.former, False)
     return True
 
 
-def welcome(p: Params, memory: Memory, reading: float) -> None:
+def hold_here(p: Params, memory: Memory, reading: float) -> None:
     """Let the law hold the valve at ``reading`` [V] until a command comes."""
     clear(memory, "lvdt_missing")
-    memory.command = command_watch.welcomed(p.command, memory.command, reading, memory.now)
+    memory.command = command_watch.held_here(p.command, memory.command, reading, memory.now)
     if memory.command.homing is not None:
         report(memory, "command_silent", command_watch.SILENT)
     if memory.command.value is None:
@@ -602,9 +603,9 @@ def welcome(p: Params, memory: Memory, reading: float) -> None:
 def begin(p: Params, memory: Memory, reading: float) -> None:
     """Start the law: as offline if all is at rest, without a bump if spool or command are elsewhere."""
     memory.measurement = reading
-    memory.velocity = velocity.State(reading, 0.0)
+    memory.velocity = tachometer.State(reading, 0.0)
     memory.voltage = p.neutral
-    welcome(p, memory, reading)
+    hold_here(p, memory, reading)
     wanted = 0.0 if memory.command.value is None else memory.command.value
     if p.lockstep or max(abs(reading), abs(wanted)) <= p.lvdt.judge.tolerance:
         memory.law = law_initial(p.law, Start(reading, memory.voltage, reading, 0.0, 0.0))
@@ -679,7 +680,7 @@ def hold(p: Params, memory: Memory, gap: int, reading: float) -> None:
             follow(p, memory, now)
         elif newest is not None and used is not None and memory.command.homing is None:
             memory.command = memory.command._replace(value=used + i * (newest - used) / (gap + 1))
-        memory.velocity = velocity.step(p.lvdt.tachometer, memory.velocity, between)
+        memory.velocity = tachometer.step(p.lvdt.tachometer, memory.velocity, between)
         wanted = taken_in(p, memory)
         memory.law = law_hold(p.law, memory.law, wanted, between, memory.voltage)
         if memory.fading:

@@ -29,7 +29,7 @@ def step(memory: Memory, voltage: float, u_max: float, period: float, longest: f
             clear(memory, "saturation")
 
 
-def watched(fields: Sequence[str]) -> tuple[int, str] | None:
+def bounded_term(fields: Sequence[str]) -> tuple[int, str] | None:
     """Which of the terms ``fields`` must stay below the one after it, and what is said if not.
 
     None: there is nothing to watch.

@@ -55,7 +55,7 @@ class Reported(NamedTuple):
 
 
 @dataclass(slots=True)
-class Fixed:
+class BaseMemory:
     """What ``Memory`` has whatever the table of watches is; a snapshot keeps it up to ``said``."""
 
     samples: int = 0
@@ -100,17 +100,17 @@ class Fixed:
 
 
 if TYPE_CHECKING:
-    Memory = Fixed
+    Memory = BaseMemory
 else:
     Memory = make_dataclass(
         "Memory",
         [(w.slot, w.module.State, w.module.NOTHING) for w in REPORTING],
-        bases=(Fixed,),
+        bases=(BaseMemory,),
         namespace={"__doc__": "All that is remembered between two samples, beside parameters."},
         slots=True,
     )
-    Memory.__module__, Memory.template = __name__, Fixed
-_NAMES = [one.name for one in fields(Fixed)]
+    Memory.__module__, Memory.template = __name__, BaseMemory
+_NAMES = [one.name for one in fields(BaseMemory)]
 _END = _NAMES.index("said")
 _REPORTING = tuple((w.slot, w.condition, w.module.step, w.module.text) for w in REPORTING)  # quicker
 KEPT = (*_NAMES[:_END], *(w.slot for w in REPORTING), "said")  # by a snapshot
@@ -168,7 +168,7 @@ def forget_saturation(memory: Memory) -> None:
 
 
 @node_only
-def reported_of(p: Any, memory: Memory, block: plausibility.Block) -> None:
+def step_watches(p: Any, memory: Memory, block: plausibility.Block) -> None:
     """Let the watches that only report look at a block; ``p``: Params of the watches beside the check."""
     for slot, name, step, text in _REPORTING:
         params = getattr(p, slot)
@@ -182,14 +182,14 @@ def reported_of(p: Any, memory: Memory, block: plausibility.Block) -> None:
 
 
 @node_only
-def stop_reporting(memory: Memory) -> None:
+def stop_watches(memory: Memory) -> None:
     """The voltage is switched off."""
     for watch in REPORTING:
         setattr(memory, watch.slot, watch.stopped(getattr(memory, watch.slot)))
 
 
 @node_only
-def forget_reported(memory: Memory, entirely: bool = False) -> None:
+def forget_watches(memory: Memory, entirely: bool = False) -> None:
     """Drop what the watches that only report have learnt of the valve.
 
     ``entirely``: all that they have, since there is no plausibility check any more, on which they depend.

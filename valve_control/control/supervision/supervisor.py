@@ -35,8 +35,8 @@ from valve_control.control.supervision import (
     lock_in,
     oscillation,
     rate,
-    trajectory,
 )
+from valve_control.control.supervision import trajectory as points
 from valve_control.control.supervision.journal import OBSERVED, TYPES, Event
 from valve_control.control.supervision.memory import (
     HEAD,
@@ -44,7 +44,7 @@ from valve_control.control.supervision.memory import (
     Mode,
     clear,
     count,
-    forget_reported,
+    forget_watches,
     latch,
     report,
 )
@@ -68,7 +68,7 @@ class Supervisor:
         self.answered = True  # whether the valve of the readings gets these voltages; counts from apply on
         self._form: tuple[Any, ...] = ()  # after whose change the law's state means something else
         self._descriptor: Law | None = None
-        self._watched: tuple[int, str] | None = None  # of the terms, and what is said if the next is below it
+        self._bounded: tuple[int, str] | None = None  # of the terms, and what is said if the next is below it
         self._terms: tuple[float, ...] = ()  # of the law at the last sample
         self._give: Callable[..., None] = unused
         self._note: Callable[..., None] = unused
@@ -107,7 +107,7 @@ class Supervisor:
         curve_changed = former is not None and made.line != former.line
         if former is not None and (made.lvdt.comparison != former.lvdt.comparison or curve_changed):
             memory.evidence = None
-            forget_reported(memory, made.lvdt.comparison is None)
+            forget_watches(memory, made.lvdt.comparison is None)
         if former is not None and made.lvdt.period != former.lvdt.period:
             memory.pace = rate.UNKNOWN._replace(means=memory.pace.means)
             clear(memory, "lvdt_rate")
@@ -147,7 +147,7 @@ class Supervisor:
         self._descriptor = law
         self._form = form
         self.name = memory.name = name
-        self._watched = law_watch.watched(law.module.Terms._fields)
+        self._bounded = law_watch.bounded_term(law.module.Terms._fields)
         self._terms = ()
         if memory.law is None:
             return
@@ -184,7 +184,7 @@ class Supervisor:
         control_step.command(self.params, self.memory, float(value), stamp, since)
         self._note(Event.COMMAND, stamp, since, command=value)
 
-    def trajectory(self, point: trajectory.Motion, stamp: float = math.nan, since: float = 0.0) -> bool:
+    def trajectory(self, point: points.Motion, stamp: float = math.nan, since: float = 0.0) -> bool:
         """Take in a point of a trajectory from the upper level; whether it can be used.
 
         ``stamp``, ``since``: as of ``command``. A trajectory has precedence over commands for as long as it
@@ -198,7 +198,7 @@ class Supervisor:
     def trajectory_refused(self, positions: int, velocities: int, accelerations: int) -> None:
         """A point of a trajectory came with so many entries."""
         count(self.memory, "command_refused")
-        latch(self.memory, "command_refused", trajectory.refusal(positions, velocities, accelerations))
+        latch(self.memory, "command_refused", points.refusal(positions, velocities, accelerations))
         row = Event.TRAJECTORY_REFUSED, float(velocities), float(accelerations)
         self._note(*row, command=float(positions))
 
@@ -296,8 +296,8 @@ class Supervisor:
         self._terms = terms
         p = self.params
         law_watch.step(memory, voltage, p.law.u_max, p.lvdt.period, self._saturation_limit)
-        if self._watched is not None:
-            at, text = self._watched
+        if self._bounded is not None:
+            at, text = self._bounded
             if terms[at] > terms[at + 1]:
                 memory.counts["assumption_violations"] += 1
                 latch(memory, "assumptions", text)
@@ -361,9 +361,9 @@ class Supervisor:
     def assumed(self) -> dict[str, float]:
         """What the law's assumptions bound, and that bound, at the last sample; {} if they bound nothing."""
         terms = self.terms
-        if self._watched is None or not terms:
+        if self._bounded is None or not terms:
             return {}
-        at, fields = self._watched[0], self.labels()[len(HEAD) :]
+        at, fields = self._bounded[0], self.labels()[len(HEAD) :]
         return {fields[i]: terms[i] for i in (at, at + 1)}
 
     def labels(self) -> tuple[str, ...]:
