@@ -101,6 +101,8 @@ def test_commands_slower_than_the_readings_are_placed_by_the_file_or_not_at_all(
     for k in range(1000):
         made.sample(2.0 * np.sin(2e-3 * np.pi * k) if k % 10 == 0 else None)
     right = analyze(load(write(tmp_path / "right", made.messages))).valves["valve"].parts[0].indices
+    error = made.readings - 2.0 * np.sin(2e-3 * np.pi * (np.arange(1000) + 0.3))  # ms after the command
+    assert right.e_rms == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.03)
     messages = coarse(made.messages, 7 * MS)
     bag = in_file_order(tmp_path / "bag", grouped(messages) if by_topic else messages)
     result = analyze(load(bag)).valves["valve"]

@@ -186,17 +186,15 @@ def _parts(
                 segments.append((segment, "; ".join(since)))
                 since = []
 
+    lasts = np.diff(signals.time, append=signals.time[-1] + signals.period)
+
     def part(segment: Segment, change: str) -> Part:
-        whole = _segment_indices(signals, segment)
+        whole = only_ok = _segment_indices(signals, segment)
         time_in: dict[str, float] = {}
-        only_ok = whole
         if modes is not None:
-            inside = modes[segment.start : segment.end]
-            lasts = np.diff(np.append(signals.time, signals.time[-1] + signals.period))[
-                segment.start : segment.end
-            ]
+            inside, within = modes[segment.start : segment.end], lasts[segment.start : segment.end]
             others = [mode for mode in Mode if mode is not Mode.OK and np.any(inside == mode)]
-            time_in = {mode.name.lower(): float(np.sum(lasts[inside == mode])) for mode in others}
+            time_in = {mode.name.lower(): float(np.sum(within[inside == mode])) for mode in others}
             if time_in:
                 only_ok = _segment_indices(signals, segment, inside == Mode.OK)
         stamp, start = signals.stamp[segment.start], float(signals.time[segment.start])
@@ -265,10 +263,10 @@ def as_dict(result: Analysis) -> dict[str, Any]:
     }
 
 
-def _valve_dict(result: ValveAnalysis) -> dict[str, Any]:
+def _valve_dict(result: ValveAnalysis) -> Any:
     valve, signals = result.valve, result.signals
     theta = estimates(valve.state)
-    about: dict[str, Any] = plain(
+    return plain(
         {
             "controller": result.controller or None,
             "sample_period_s": signals.period if signals is not None else None,
@@ -294,7 +292,6 @@ def _valve_dict(result: ValveAnalysis) -> dict[str, Any]:
             "left_out": result.left_out,
         }
     )
-    return about
 
 
 def modes_dict(result: ValveAnalysis) -> dict[str, Any] | None:

@@ -102,9 +102,8 @@ def history(
     times = np.concatenate([said, state_time[known]])
     modes = np.concatenate([np.array([w.mode for w in told]), state_mode[known]]).astype(np.int64)
     order = np.argsort(times, kind="stable")
+    order = order[times[order] < end]
     times, modes = times[order], modes[order]
-    inside = times < end
-    times, modes = times[inside], modes[inside]
     if len(times) == 0:
         return []
     silent = np.diff(times) > round(SILENT * 1e9)

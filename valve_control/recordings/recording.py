@@ -24,15 +24,10 @@ from valve_control.recordings.mapping import PARTS, STATE_TYPE, ValveTopics, fin
 
 ESTIMATES = ("a1", "a0", "b0", "b0dn")
 V = TypeVar("V")
-STATE_FIELDS = (
-    "sample",
-    "mode",
-    "measurement",
-    "voltage",
-    "lyapunov",
-    "lyapunov_bound",
-    *ESTIMATES,
-)
+BETWEEN = 1.5  # periods from one command to the next, beyond which they are samples of a motion between
+PAUSE = 100_000_000  # ns from one command to the next, beyond which the last one holds
+STEP = 3.0  # times the changes before and after, beyond which a change is a step
+STATE_FIELDS = ("sample", "mode", "lyapunov", "lyapunov_bound", *ESTIMATES)
 
 
 class Aligned(NamedTuple):
@@ -287,9 +282,9 @@ def at_time(signals: Aligned, stamp: int) -> float:
 def align(valve: ValveRecording) -> Aligned:
     """Pair command, measurement and voltage at each LVDT reading from the first command on.
 
-    The command is the newest one sent before the voltage that answers the reading; the voltage is the one in
-    force until the next reading, or until the next one is due: where that was lost, the voltage in answer to
-    it can still be there. Raises BagError without readings.
+    The command is the newest one sent before the voltage that answers the reading, or ``_between`` those that
+    are rare; the voltage is the one in force until the next reading, or until the next one is due: where that
+    was lost, the voltage in answer to it can still be there. Raises BagError without readings.
     """
     if "spool_position" not in valve.signals or len(valve.signals["spool_position"].time) == 0:
         raise BagError(f"{valve.name} has no spool_position, so no signal can be aligned")
@@ -321,12 +316,11 @@ def align(valve: ValveRecording) -> Aligned:
         voltage = _held(voltages, newest)
     command: Floats = np.full(len(stamp), np.nan)
     commands = valve.signals.get("spool_command")
-    first = 0
     if commands is not None and len(commands.time):
         command = _held(commands, np.searchsorted(commands.time, seen, side="right") - 1)
-        first = int(np.argmax(np.isfinite(command))) if np.any(np.isfinite(command)) else 0
-    if np.any(np.isfinite(voltage)):
-        first = max(first, int(np.argmax(np.isfinite(voltage))))
+        if not (valve.paired or valve.lockstep):
+            command = _between(commands, stamp, command, round(period * 1e9))
+    first = max(int(np.argmax(np.isfinite(signal))) for signal in (command, voltage))
     time = seconds(stamp, int(stamp[first]))
     if valve.lockstep:
         time = (np.arange(len(stamp), dtype=np.float64) - first) * period
@@ -341,6 +335,17 @@ def align(valve: ValveRecording) -> Aligned:
         answered=answered[first:] if precise else None,
         wall=not valve.lockstep,
     )
+
+
+def _between(commands: Samples, stamp: Integers, held: Floats, period: int) -> Floats:
+    """Command [V] at each ``stamp`` [ns]: between rare ``commands`` a straight line, ``held`` at steps."""
+    apart, change = np.diff(commands.time), np.abs(np.diff(commands.value))
+    if len(apart) == 0 or np.median(apart) < BETWEEN * period:
+        return held
+    beside = np.maximum(np.append(0.0, change[:-1]), np.append(change[1:], 0.0))
+    moving = np.append((apart < PAUSE) & (change <= STEP * beside), False)
+    line = np.interp(stamp - commands.time[0], commands.time - commands.time[0], commands.value)
+    return np.where(moving[np.searchsorted(commands.time, stamp, side="right") - 1], line, held)
 
 
 def voltages_before(valve: ValveRecording, stamp: Integers) -> Floats:

@@ -373,12 +373,12 @@ class Supervisor:
 
     def telemetry(self) -> list[float]:
         """Numbers of this sample; the law's terms are NaN while it does not have the valve."""
-        memory = self.memory
+        memory, given = self.memory, self.memory.command
         terms = self.terms or (math.nan,) * (len(self.labels()) - len(HEAD))
         return [
             float(memory.samples),
             float(self.mode),
-            memory.effective,
+            memory.effective if given.value is None or given.homing is not None else given.value,
             memory.measurement,
             self.voltage,
             memory.transfer.voltage.value,
