@@ -313,7 +313,7 @@ def readme(unit: Unit, made: Sources, rows: int, largest: float, single: bool) -
         )
         trust = "The watch bridges and refuses readings, limits commands, switches to 0 V, as the supervisor."
     elif unit.is_law:
-        order = f"`{name}_init` once, then each sample `{name}_step`, or `{name}_hold` where a reading is missing."
+        order = f"`{name}_init` once, then each sample `{name}_step`, or `{name}_hold` without a reading."
         trust = "The law trusts its inputs: give it finite numbers, and 0 V if its voltage is not finite."
     else:
         order = f"`{name}_init` once, then each sample `{name}_read` and `{name}_step`."
