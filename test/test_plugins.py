@@ -21,12 +21,10 @@ EXAMPLES = ROOT / "docs" / "examples"
 def installed(tmp_path_factory):
     """Folder with both examples, built and installed as pip does it."""
     folder = tmp_path_factory.mktemp("site")
-    sources = [tmp_path_factory.mktemp("source") / name for name in ("lead_law", "observer_law")]
-    for source in sources:
-        subprocess.run(["cp", "-r", EXAMPLES / source.name, source], check=True)
+    source = shutil.copytree(EXAMPLES, tmp_path_factory.mktemp("source") / "examples")
     done = subprocess.run(
         [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps",
-         "--no-build-isolation", "--target", folder, *sources],
+         "--no-build-isolation", "--target", folder, source / "lead_law", source / "observer_law"],
         capture_output=True, text=True, timeout=200,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
