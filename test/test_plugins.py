@@ -154,12 +154,7 @@ def package(folder, text, letter="a"):
     (information / "entry_points.txt").write_text(f"[valve_control.laws]\nmine{letter} = law_{letter}:LAW\n")
 
 
-def gained(free):
-    """LAW's arguments from its parameters on: one gain, and what a tuner may choose."""
-    return f'], (Parameter("mine.k", 1.0, "", ""),), build, free=({free},)'
-
-
-NO_GAIN = "], (), build"
+OTHER_GAIN = '], (Parameter("other.k", 1.0, "", ""),), build, free=(1,)'
 BROKEN = [
     ("    return s\n", "    return s\n\ndel __file__\n", "it is in no file; write it into one"),
     ('Law("mine"', 'Law("arc"', "the name is taken by a law of valve_control"),
@@ -170,7 +165,7 @@ BROKEN = [
     ("return State(start.voltage)", "return State(0)", "its initial for State.last gives 0; it must"),
     ("    return s\n", "    return voltage\n", "its hold gives 0.0; it must be a {law}.State"),
     ("last: float", "theta: float", "there must be a parameter {name}.theta_initial"),
-    (NO_GAIN, gained("1").replace("mine.k", "other.k"), "its parameter other.k must begin with '{name}.'"),
+    ("], (), build", OTHER_GAIN, "its parameter other.k must begin with '{name}.'"),
 ]
 
 
