@@ -14,34 +14,33 @@ from string import ascii_lowercase
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-EXAMPLE = ROOT / "docs" / "examples" / "lead_law"
+EXAMPLES = ROOT / "docs" / "examples"
 
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
-    """Folder with the example, built and installed as pip does it."""
+    """Folder with both examples, built and installed as pip does it."""
     folder = tmp_path_factory.mktemp("site")
-    source = tmp_path_factory.mktemp("source") / "lead_law"
-    subprocess.run(["cp", "-r", EXAMPLE, source], check=True)
+    source = shutil.copytree(EXAMPLES, tmp_path_factory.mktemp("source") / "examples")
     done = subprocess.run(
         [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps",
-         "--no-build-isolation", "--target", folder, source],
+         "--no-build-isolation", "--target", folder, source / "lead_law", source / "observer_law"],
         capture_output=True, text=True, timeout=200,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return folder
 
 
-def run(folder, *arguments, module="valve_control.cli"):
+def python(folder, *words):
+    """Result of python in ``folder``, with the packages in it."""
     environment = {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT / 'test' / 'recordings'}"}
     return subprocess.run(
-        [sys.executable, "-m", module, *map(str, arguments)],
-        capture_output=True, text=True, timeout=400, env=environment,
-    )  # fmt: skip
+        [sys.executable, *words], capture_output=True, text=True, timeout=400, env=environment, cwd=folder
+    )
 
 
 def test_the_example_does_what_the_package_s_own_laws_do(installed):
-    done = run(installed, ROOT / "test" / "plugged_in.py", "-q", "-p", "no:cacheprovider", module="pytest")
+    done = python(installed, "-m", "pytest", ROOT / "test/plugged_in.py", "-q", "-p", "no:cacheprovider")
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -82,11 +81,9 @@ def test_a_law_of_one_file_runs_from_python_as_the_page_shows(tmp_path):
     typed, shown, *_ = [line.removeprefix(">>> ") for line in page.splitlines() if line.startswith(">>> ")]
     new, old = re.search(r"write\s`(.*?)` in place of `(.*?)`", page).groups()
     changes = [(old, new), ("+ offset", "+ offset + 0.1 * z1"), ("+ offset", "+ ofset")]
-    shutil.copy(EXAMPLE / "valve_lead_law.py", tmp_path)
+    shutil.copy(EXAMPLES / "lead_law/valve_lead_law.py", tmp_path)
     program = ONE_FILE.format(typed=typed, shown=shown, changes=changes)
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=300, cwd=tmp_path
-    )
+    done = python(tmp_path, "-c", program)
     *table, same, faster, other, changed, refused = done.stdout.splitlines()
     assert "\n".join(table) in page and faster in page and refused in page, done.stderr + refused
     assert (same, other) == ("True", "False") and changed not in (faster, table[1].split()[3])
@@ -106,10 +103,8 @@ print(before._cache.cache_path != after._cache.cache_path)
 
 def test_what_is_compiled_with_a_law_of_one_file_is_not_kept_with_the_rest(tmp_path):
     """Other programs, which lack that file, could not read it."""
-    shutil.copy(EXAMPLE / "valve_lead_law.py", tmp_path)
-    done = subprocess.run(
-        [sys.executable, "-c", KEPT_APART], capture_output=True, text=True, timeout=300, cwd=tmp_path
-    )
+    shutil.copy(EXAMPLES / "lead_law/valve_lead_law.py", tmp_path)
+    done = python(tmp_path, "-c", KEPT_APART)
     assert done.stdout == "True\n", done.stderr
 
 
@@ -159,12 +154,7 @@ def package(folder, text, letter="a"):
     (information / "entry_points.txt").write_text(f"[valve_control.laws]\nmine{letter} = law_{letter}:LAW\n")
 
 
-def gained(free):
-    """LAW's arguments from its parameters on: one gain, and what a tuner may choose."""
-    return f'], (Parameter("mine.k", 1.0, "", ""),), build, free=({free},)'
-
-
-NO_GAIN = "], (), build"
+OTHER_GAIN = '], (Parameter("other.k", 1.0, "", ""),), build, free=(1,)'
 BROKEN = [
     ("    return s\n", "    return s\n\ndel __file__\n", "it is in no file; write it into one"),
     ('Law("mine"', 'Law("arc"', "the name is taken by a law of valve_control"),
@@ -172,14 +162,10 @@ BROKEN = [
     ("def hold(", "def held(", "left out: AttributeError: module 'law_"),
     ("    return s\n", "    return s s\n", "left out: SyntaxError: invalid syntax (law_"),
     ("command + offset", "command + float('nan')", "it must be a finite float"),
-    (
-        "return State(start.voltage)",
-        "return State(0)",
-        "its initial for State.last gives 0; it must",
-    ),
+    ("return State(start.voltage)", "return State(0)", "its initial for State.last gives 0; it must"),
     ("    return s\n", "    return voltage\n", "its hold gives 0.0; it must be a {law}.State"),
     ("last: float", "theta: float", "there must be a parameter {name}.theta_initial"),
-    (NO_GAIN, gained("1").replace("mine.k", "other.k"), "its parameter other.k must begin with '{name}.'"),
+    ("], (), build", OTHER_GAIN, "its parameter other.k must begin with '{name}.'"),
 ]
 
 
@@ -190,7 +176,8 @@ def beside_broken_laws(tmp_path_factory):
     for letter, (old, new, _) in zip(ascii_lowercase, BROKEN, strict=False):
         assert old in LAW
         package(folder, LAW.replace(old, new), letter)
-    return run(folder, "simulate", "--controller", "pid", "--duration", "0.1", "--json", "-")
+    words = "-m valve_control.cli simulate --controller pid --duration 0.1 --json -"
+    return python(folder, *words.split())
 
 
 @pytest.mark.parametrize("number", range(len(BROKEN)), ids=[reason[:30] for _, _, reason in BROKEN])
@@ -217,11 +204,7 @@ for words in json.loads(sys.argv[1]):
 
 def each(folder, *commands):
     """Status and sentences of several commands in one process, with the packages in ``folder``."""
-    environment = {**os.environ, "PYTHONPATH": str(folder)}
-    done = subprocess.run(
-        [sys.executable, "-c", EACH, json.dumps(commands)],
-        capture_output=True, text=True, timeout=300, env=environment, cwd=folder,
-    )  # fmt: skip
+    done = python(folder, "-c", EACH, json.dumps(commands))
     return done.stdout.split(), done.stderr.splitlines()
 
 

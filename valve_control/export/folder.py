@@ -300,26 +300,23 @@ int main(int argc, char **argv)
 
 
 def readme(unit: Unit, made: Sources, rows: int, largest: float, single: bool) -> str:
-    """README of ten lines."""
+    """README.md of the folder."""
     name = unit.name
     settable = ", ".join(dict.fromkeys(setter.parameter.name for setter in made.setters)) or "none"
-    others = ", ".join(f"{other} ({reason})" for other, reason in made.others.items()) or "none"
+    others = "".join(f"\n- {other}: {reason}" for other, reason in made.others.items()) or " none"
     bits = f"within {largest:g} V in float" if single else "bit for bit"
-    order = (
-        f"`{name}_init` once, then each sample `{name}_step`, or `{name}_hold` where a reading is missing."
-        if unit.is_law
-        else f"`{name}_init` once, then each sample `{name}_read` and `{name}_step`."
-    )
     if unit.inner is not None:
+        given = f"&{name}_exported, &state"
         order = (
-            f"`{name}_watch_init` once, `{name}_watch_command` (or `_trajectory`) with each command, "
-            f"`{name}_watch_sample` each sample."
+            f"`{name}_watch_init(&state)` once, `{name}_watch_command({given}, command)` with each command, "
+            f"`{name}_watch_sample({given}, reading, 0)` each sample; {name}.h explains all functions."
         )
-    if unit.inner is not None:
         trust = "The watch bridges and refuses readings, limits commands, switches to 0 V, as the supervisor."
     elif unit.is_law:
+        order = f"`{name}_init` once, then each sample `{name}_step`, or `{name}_hold` without a reading."
         trust = "The law trusts its inputs: give it finite numbers, and 0 V if its voltage is not finite."
     else:
+        order = f"`{name}_init` once, then each sample `{name}_read` and `{name}_step`."
         trust = "Its parameters are those of the simulator."
     return f"""# {name}: {unit.text}, for a sample period of {unit.period:g} s
 `make check` compiles and compares with {rows} recorded calls of the Python (check.csv), {bits}.
@@ -329,6 +326,7 @@ Several instances are several structs. Functions with different structs may run 
 {trust}
 Compile with `{FLAGS}`; fast-math or fused operations change the last bits.
 Parameters that `{name}_set_...` sets while it runs: {settable}.
-Parameters that need a new export: {others}.
+Parameters that need a new export:{others}
+
 Made by `valve-control export`; do not edit, export again.
 """
