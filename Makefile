@@ -116,6 +116,11 @@ kilted:  ## the tests of nodes with ROS 2 Kilted in place of Jazzy, from its whe
 browser: $(DEV)  ## the dashboard in Chromium, beside real nodes
 	@$(PYTHON) -m pytest test/nodes/test_dashboard_browser.py -m browser $(PYTEST_ARGS)
 
+format: $(DEV)  ## format the code, and mend what ruff can
+	@$(PYTHON) -m ruff format --quiet .
+	@$(PYTHON) -m ruff check --fix .
+	@$(PYTHON) -m ruff format .
+
 lint: $(DEV)  ## ruff, mypy, order and budgets of the rooms
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check .

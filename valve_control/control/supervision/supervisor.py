@@ -141,7 +141,7 @@ class Supervisor:
         another_curve = bool(self._form) and line != self._form[2]
         same_reference = before is not None and before.reshapes(former)
         if law is not before or line != self._form[2]:
-            receivers = {"give_voltage": self._give_once, "observe": self._observe}
+            receivers = {"give_voltage": self._give_once, "observe": self._watch_law}
             self._steps = binding.with_places({**binding.places_of(law, line), **receivers})
             self._sample = self._steps.sample
         self._descriptor = law
@@ -291,7 +291,7 @@ class Supervisor:
         give, self._give = self._give, unused
         give(voltage)
 
-    def _observe(self, memory: Memory, terms: Any, voltage: float) -> None:
+    def _watch_law(self, memory: Memory, terms: Any, voltage: float) -> None:
         """Watch a step of the law for what is only reported."""
         self._terms = terms
         p = self.params
