@@ -384,6 +384,9 @@ def test_units_are_told_where_they_are_not_known(tmp_path, reference):
     ):
         (tmp_path / "t.csv").write_text(HEADER + units + text(rows(reference)))
         assert note in load(tmp_path / "t.csv", PLAIN).problems
+    (tmp_path / "t.csv").write_text(HEADER + text(1000.0 * rows(reference)))
+    told = "\n".join(load(tmp_path / "t.csv", PLAIN).problems)
+    assert "the rows are 1 s apart; if this is ms" in told and "map lvdt*0.001 if it is in mV" in told
 
 
 @pytest.mark.parametrize(
