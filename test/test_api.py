@@ -16,6 +16,7 @@ from matplotlib import pyplot
 import valve_control as vc
 from valve_control.api import _Call
 from valve_control.cli import main
+from valve_control.control.simulation import robustness
 
 ROOT = Path(__file__).parents[1]
 VALVE = ROOT / "docs/examples/my_valve.yaml"
@@ -58,6 +59,7 @@ def test_the_law_of_a_run_gives_the_same_voltages_in_a_loop_of_the_user():
     voltage = run.law()
     signals = zip(1.2 * MOTION, run.arrays["measurement"], strict=True)
     assert [voltage(*row) for row in signals] == list(run.arrays["voltage"])
+    pytest.raises(KeyError, run.__getitem__, "e_rms").match("e_rms; there are .*indices")
     assert vc.compare(VALVE, duration=1.0).to_dataframe()["law"].tolist()[:2] == ["arc", "oarc"]
 
 
@@ -93,10 +95,7 @@ def test_a_log_of_arrays_is_analysed(tmp_path):
 @pytest.mark.parametrize(
     "task, sentence",
     [
-        (
-            lambda: vc.simulate(controler="pid"),
-            "^simulate has no option controler; did you mean 'contr",
-        ),
+        (lambda: vc.simulate(controler="pid"), "^simulate has no option controler; did you mean 'contr"),
         (lambda: vc.simulate(dur=1.0), "no option dur; did you mean 'duration'"),
         (lambda: vc.simulate(controller=json), "give the descriptor: json.LAW"),
         (lambda: vc.tune(valves=None), "none is no whole number"),
@@ -107,6 +106,9 @@ def test_a_log_of_arrays_is_analysed(tmp_path):
         (lambda: vc.simulate(command=1j * MOTION), "is no motion"),
         (lambda: vc.simulate(VALVE, MOTION), "a motion is command="),
         (lambda: vc.simulate({"damping": 0.7}), "a dict by node"),
+        (lambda: vc.simulate({"valve_simulator": {"numerator": [1.0]}}), "^numerator has no effect"),
+        (lambda: vc.simulate(controller="lqg"), "there are arc, .*one of your own: docs/tutorials/your"),
+        (lambda: vc.simulate(duration=1.0).law()(MOTION, MOTION), "takes one sample a call: two floats"),
         (lambda: vc.simulate(set={"arc.k9": 1.0}), "no parameter 'arc.k9'"),
         (lambda: vc.simulate(command=[]), "command has 0 entries"),
         (lambda: vc.simulate(command=1.0), "command is a float; give one array"),
@@ -137,7 +139,7 @@ def test_bad_input_is_one_sentence(task, sentence, capsys):
 
 def test_help_of_tune_has_units_and_defaults_and_none_switches_a_limit_off():
     assert "%(" not in vc.tune.__doc__ and "overshoot (%): largest overshoot of steps (5)" in vc.tune.__doc__
-    assert "--" not in vc.tune.__doc__.replace("'valve-control study --box'", "")
+    assert "--" not in vc.tune.__doc__ and all(q.name in vc.tune.__doc__ for q in robustness.BOX)
     assert "repeated" not in vc.tune.__doc__ and "map (dict)" in vc.identify.__doc__
     assert "command (array or file, or a list)" in vc.tune.__doc__
     words = _Call("tune", (), (), {"overshoot": None, "duration": None})._options(Path())

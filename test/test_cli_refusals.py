@@ -67,7 +67,7 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
     [
         (["simulate", "--command", "c.csv", "--scenario", "sine"], ["--command takes no --scenario"]),
         (["simulate", "--set", "valve=custom", "--set", "numerator=[-1502.0]"], ["must be positive"]),
-        (["simulate", "--set", "numerator=[3.0]"], ["numerator", "no effect without valve=custom"]),
+        (["simulate", "--set", "numerator=[3.0]"], ["valve is fourth_order; add valve=custom"]),
         (["export", "--output", "e", "--set", "dcarc.denominator=[1.0, 2.0]"], ["dcarc.model=custom"]),
         (["study", "--replay", "1", "--output", "v.yaml", "--figure", "f.png"], ["--figure", "--replay"]),
         (["identify", "--set", "valve=second_order", "--order", "4", *QUICK], ["not support", "--order 2"]),

@@ -163,6 +163,8 @@ BROKEN = [
     ("    return s\n", "    return s s\n", "left out: SyntaxError: invalid syntax (law_"),
     ("command + offset", "command + float('nan')", "it must be a finite float"),
     ("return State(start.voltage)", "return State(0)", "its initial for State.last gives 0; it must"),
+    ("return State(start.voltage)", "return State([0.0])", "its initial gives an array for State.last"),
+    ("    u_max: float", "    limit: float", "its build for Params.u_max gives None"),
     ("    return s\n", "    return voltage\n", "its hold gives 0.0; it must be a {law}.State"),
     ("last: float", "theta: float", "there must be a parameter {name}.theta_initial"),
     ("], (), build", OTHER_GAIN, "its parameter other.k must begin with '{name}.'"),

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 def __getattr__(name: str) -> Any:
     """The tasks, which are imported when they are first asked for: nodes need none of them."""
     if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        raise AttributeError(f"no {name!r} in {__name__}; export, study, commission are shell commands")
     from valve_control import api
 
     return getattr(api, name)

@@ -39,7 +39,7 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -69,6 +69,13 @@ EXPECTED = {  # values of options that take neither a word nor a number alone
 TABLES = {".csv", ".npy", ".mat", ".mcap", ".db3"}  # suffixes of files that are no parameters
 
 
+class Named(dict[str, Any]):
+    """A dict that lists its keys where one is missing."""
+
+    def __missing__(self, name: str) -> NoReturn:
+        raise KeyError(f"{name}; there are {', '.join(self)}")
+
+
 @dataclass(frozen=True, repr=False)
 class Parameters:
     """A ROS 2 parameter file: of a valve, of gains, or of both; ``parameters["lvdt.noise"]`` is a value."""
@@ -81,7 +88,8 @@ class Parameters:
         return f"# {self.name}\n{self.text}"
 
     def __getitem__(self, name: str) -> Value:
-        return {n: value for values in self.values.values() for n, value in values.items()}[name]
+        value: Value = Named({n: v for part in self.values.values() for n, v in part.items()})[name]
+        return value
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file to ``path``, whole or not at all. Raises OSError."""
@@ -92,7 +100,7 @@ Source = Parameters | Mapping[str, Mapping[str, Any]] | str | os.PathLike[str]
 
 
 @dataclass(eq=False, repr=False)
-class Result(dict[str, Any]):
+class Result(Named):
     """Numbers of a task, those of --json, with its arrays, parameters and figure."""
 
     text: str  #: that the command prints
@@ -189,7 +197,7 @@ class _Call(NamedTuple):
         response = numbers.get("response", {}).items()
         arrays |= {name: np.array(row, float) for name, row in response if isinstance(row, list)}
         parameters, page = (contents.get(name, {}).get("") for name in ("output", "html"))
-        result = Result("\n".join(lines), status == 0, arrays, parameters, page, arguments)
+        result = Result("\n".join(lines), status == 0, Named(arrays), parameters, page, arguments)
         result.update(numbers)
         return result
 
@@ -219,11 +227,8 @@ class _Call(NamedTuple):
             if (one and count > 1) or (count == 0 and (one or name == "command")):
                 expected = EXPECTED.get(name, "one")
                 raise ParameterError(f"{name} has {count} entries; {self.task} takes {expected}")
-            if isinstance(actions.get(option), argparse._StoreTrueAction) and value not in (
-                True,
-                False,
-                None,
-            ):
+            switch = isinstance(actions.get(option), argparse._StoreTrueAction)
+            if switch and value not in (True, False, None):
                 raise ParameterError(f"{name} is a switch: True or False")
             if isinstance(value, Mapping):
                 value = _settings(value)
@@ -232,7 +237,7 @@ class _Call(NamedTuple):
             elif value is True:
                 words.append(option)
             elif name in MANY:
-                words += [option, *map(str, np.atleast_1d(value))]
+                words += [option, *" ".join(map(str, np.atleast_1d(value))).split()]
             else:
                 words += [f"{option}={_word(one, folder, name)}" for one in _several(value)]
         return words

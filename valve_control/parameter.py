@@ -41,10 +41,8 @@ class Parameter(NamedTuple):
     @property
     def range_text(self) -> str:
         """Range or choices in words."""
-        if self.choices:
+        if self.choices or isinstance(self.default, (str, bool)) or self.type_name == "list of strings":
             return ", ".join(self.choices)
-        if isinstance(self.default, (str, bool)) or self.type_name == "list of strings":
-            return ""
         return f"{self.low:g} to {self.high:g}"
 
     @property
@@ -87,6 +85,7 @@ class Parameter(NamedTuple):
     def _wrong_type(self, value: object) -> str:
         form = "1.2, not 1,2" if self.type_name == "double" and isinstance(value, str) else "120.0, not 120"
         quotes = isinstance(self.default, str) and not isinstance(value, list)
+        form = "a flat list: plant.num[0][0]" if "[[" in str(value) else form
         article = "an" if self.type_name == "integer" else "a"
         hint = f" (write {form})" if "double" in self.type_name else " (write it in quotes)" * quotes
         return f"{self.name} is {value!r}; it must be {article} {self.type_name}{hint}"

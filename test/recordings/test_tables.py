@@ -377,12 +377,14 @@ def test_a_group_that_is_not_used_costs_nothing(tmp_path, reference):
 
 
 def test_units_are_told_where_they_are_not_known(tmp_path, reference):
-    for units, note in (
-        ("", "no column has a unit: all count as V"),
-        ("[s],[V],[bar],[V]\n", "lvdt in bar counts as V without @%, @4..20mA or *FACTOR"),
-        ("s,V,mA,V\n", "lvdt in mA counts as V without @%, @4..20mA or *FACTOR"),
+    for scale, units, note in (
+        (1.0, "", "no column has a unit: all count as V"),
+        (1e3, "", "the rows are 1 s apart; if this is ms: --map time=COLUMN*0.001"),
+        (1e3, "", "lvdt goes to 1979 V; map lvdt*0.001 if it is in mV, lvdt@% if in %"),
+        (1.0, "[s],[V],[bar],[V]\n", "lvdt in bar counts as V without @%, @4..20mA or *FACTOR"),
+        (1.0, "s,V,mA,V\n", "lvdt in mA counts as V without @%, @4..20mA or *FACTOR"),
     ):
-        (tmp_path / "t.csv").write_text(HEADER + units + text(rows(reference)))
+        (tmp_path / "t.csv").write_text(HEADER + units + text(scale * rows(reference)))
         assert note in load(tmp_path / "t.csv", PLAIN).problems
 
 

@@ -60,8 +60,10 @@ def _law(name: str) -> str:
     """Type of an option for a law, which says why one is left out, or which is nearest."""
     if name in LEFT_OUT:
         raise argparse.ArgumentTypeError(LEFT_OUT[name])
-    if name not in LAWS and (near := difflib.get_close_matches(name.lower(), LAWS)):
-        raise argparse.ArgumentTypeError(f"there is no law '{name}'; did you mean '{near[0]}'?")
+    if name not in LAWS:
+        near = [f"did you mean '{law}'?" for law in difflib.get_close_matches(name.lower(), LAWS)]
+        own = f"there are {', '.join(LAWS)} (one of your own: docs/tutorials/your_law.md)"
+        raise argparse.ArgumentTypeError(f"there is no law '{name}'; {[*near, own][0]}")
     return name
 
 
@@ -97,7 +99,7 @@ SEED: Row = ("seed", within(0, MOST_SEED), 1, "N", "seed of the search (%(defaul
 CHATTER = 0.25  # limit of c_u, where none is asked for and gains can be found that keep it
 VALVES, BUDGET = within(1, MOST_VALVES), within(1, 10**12)  # of a search
 THREADS: Row = (
-    "threads", within(1, MOST_THREADS), CORES, "N", "number of threads (all cores; up to four for each)"
+    "threads", within(1, MOST_THREADS), CORES, "N", "number of threads (one a core; at most four a core)"
 )  # fmt: skip
 
 
@@ -180,7 +182,7 @@ def output_group(options: argparse.ArgumentParser, **files: str) -> Any:
     return group
 
 
-def bag_options(group: Any, sources: str = "source of a signal, as for analyze", of: bool = True) -> None:
+def bag_options(group: Any, sources: str = "as for analyze: PART=COLUMN*0.001", of: bool = True) -> None:
     """Add what is used of a bag: --map with help on its ``sources``, --of, --from, --to and --clock."""
     repeated(group, "--map", "PART=/TOPIC.FIELD", sources)
     if of:
@@ -255,13 +257,10 @@ def tell_notes(notes: Sequence[str]) -> None:
 
 def write_json(arguments: argparse.Namespace, result: Any) -> None:
     """Write ``result`` to the file that --json names, or print it."""
-    if arguments.json is None:
-        return
-    text = outputs.as_json(result)
     if arguments.json == "-":
-        print(text, end="")
-        return
-    deliver(arguments, arguments.json, text)
+        print(outputs.as_json(result), end="")
+    elif arguments.json is not None:
+        deliver(arguments, arguments.json, outputs.as_json(result))
 
 
 def ended(program: str, task: str, work: Callable[[], int | None]) -> int:

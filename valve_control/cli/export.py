@@ -60,10 +60,7 @@ def _export(arguments: argparse.Namespace) -> None:
     node, what = ("valve_simulator", "the valve") if arguments.plant else ("controller", "a law")
     files.refuse_others(arguments.set, {node: NODES[node]}, f"export writes {what} alone")
     values = updated(NODES[node], defaults(NODES[node]), changes[node])
-    if arguments.plant:
-        chosen = unit.plant(values)
-    else:
-        chosen = (unit.supervised if arguments.watch else unit.law)(values)
+    chosen = (unit.plant if arguments.plant else unit.supervised if arguments.watch else unit.law)(values)
     if not (arguments.plant or arguments.watch) and values["reshaping.lead"]:
         common.tell_notes(["the law alone has no lead of the command (reshaping.lead); --watch has it"])
     with common.progress(len(chosen.table) + 1, "parameters") as bar:

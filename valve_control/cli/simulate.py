@@ -286,10 +286,8 @@ def _compare(arguments: argparse.Namespace) -> None:
 
 
 def _parameters(arguments: argparse.Namespace) -> None:
-    names = [parameter.name for table in ROS_NODES.values() for parameter in table]
-    if not any(arguments.match in name for name in names):
-        raise ParameterError(f"no parameter has '{arguments.match}' in its name")
-    for node, table in ROS_NODES.items():
-        for parameter in table:
-            if arguments.match in parameter.name:
-                print(f"{node}: {parameter.described}")
+    tables, word = ROS_NODES.items(), arguments.match
+    rows = [f"{node}: {one.described}" for node, table in tables for one in table if word in one.name]
+    if not rows:
+        raise ParameterError(f"no parameter has '{word}' in its name")
+    print("\n".join(rows))

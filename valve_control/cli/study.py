@@ -23,7 +23,10 @@ LIMIT = (
     "a loop with a larger error [V] in the last two seconds counts as unstable (0.15; if the command moves "
     "then, plus twice the tracking error of the valve without variations)"
 )
-FIX = ("--fix", "NAME", "quantity of the box that keeps its value ('valve-control study --box' lists them)")
+FIX = (
+    "--fix", "NAME", "quantity of the box that keeps its value: gain, speed, flow_force, disturbance.offset, "
+    "friction.coulomb, friction.static_ratio, drift.gain, drift.stiffness, lvdt.noise or lvdt.delay",
+)  # fmt: skip
 
 
 def add_commands(commands: Any) -> None:
@@ -125,7 +128,7 @@ def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
         overridden = [q.name for q in varied if q.name in files.load(path)["valve_simulator"]]
         if overridden:
             names = ", ".join(overridden)
-            common.tell_notes([f"{task} varies {names}, whatever {path} says; --fix NAME keeps one"])
+            common.tell_notes([f'{task} varies {names}, whatever {path} says; --fix="NAME" keeps one'])
     return varied
 
 

@@ -59,7 +59,7 @@ def add_commands(commands: Any) -> None:
         "--controller", metavar="LAW,…", help="laws to tune, or all (default: that of the parameter files)"
     )
     group = tune.add_argument_group("objective")
-    text = "limit of the mean chatter c_u (%(default)s); if no gains keep it, quieter ones are taken"
+    text = "limit of the mean chatter c_u (%(default)s); if no gains keep it, 1.25 times the least"
     common.numbers(group, ("max-chatter", common.within(1e-6, 1e3), common.CHATTER, "RATIO", text))
     group.add_argument("--preview", action="store_true", help="commands have derivatives (spool_trajectory)")
     group = tune.add_argument_group("limits on every valve of the box", "The word none switches a limit off.")

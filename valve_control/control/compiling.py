@@ -125,8 +125,7 @@ def bind(functions: Mapping[str, Callable[..., Any]], places: Mapping[str, Any])
 
     They call each other; ``places`` are returned with them.
     """
-    scope: dict[str, Any] = dict(next(iter(functions.values())).__globals__)
-    scope.update(places)
+    scope: dict[str, Any] = {**next(iter(functions.values())).__globals__, **places}
     made: dict[str, Any] = dict(places)
     for name, function in functions.items():
         # The interpreter adapts code to the scope in which it runs: each scope has its own.

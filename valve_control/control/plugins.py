@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterable
 from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
+import numpy as np
+
 from valve_control.control.compiling import in_words
 
 PACKAGE = "valve_control"
@@ -63,3 +65,7 @@ def check_results(results: Iterable[tuple[str, Any, type]]) -> None:
         if not sound or (wanted is float and not math.isfinite(value)):
             kind = "finite float such as 0.0" if wanted is float else f"{wanted.__module__}.{wanted.__name__}"
             raise PluginError(f"its {name} gives {value!r}; it must be a {kind}")
+        for field, part in getattr(value, "_asdict", dict)().items():
+            if isinstance(part, (list, np.ndarray)):
+                text = f"its {name} gives an array for {wanted.__name__}.{field}"
+                raise PluginError(f"{text}; it must be a float, such as float(gains[0, 0])")

@@ -155,13 +155,8 @@ def _segment_indices(
         return NONE
     has_error, has_voltage = bool(np.all(np.isfinite(error))), bool(np.all(np.isfinite(voltage)))
     zeros = np.zeros(len(error))
-    got = indices(
-        error if has_error else zeros,
-        voltage if has_voltage else zeros,
-        signals.period,
-        kept,
-        signals.time[inside],
-    )
+    both = (error if has_error else zeros, voltage if has_voltage else zeros)
+    got = indices(*both, signals.period, kept, signals.time[inside])
     if not has_error:
         got = got._replace(e_M=np.nan, e_F=np.nan, e_rms=np.nan)
     return got if has_voltage else got._replace(u_rms=np.nan, c_u=np.nan)

@@ -96,12 +96,11 @@ def find_valves(bag: Bag, maps: Sequence[str] = ()) -> dict[str, ValveTopics]:
     for name in bag.topics:
         namespace, _, part = name.rpartition("/")
         if part in PARTS:
-            if wrong := _wrong_field(bag, Source(name, "data")):
+            source = Source(name, "data", units.get(name, Scale(1.0)))
+            if wrong := _wrong_field(bag, source):
                 left_out.append(f"{wrong}; it is left out")
             else:
-                sources.setdefault(_name(namespace), {})[part] = Source(
-                    name, "data", units.get(name, Scale(1.0))
-                )
+                sources.setdefault(_name(namespace), {})[part] = source
     for name in bag.topics:
         namespace, _, part = name.rpartition("/")
         parts = sources.get(_name(namespace), {})

@@ -46,13 +46,12 @@ def read(path: str) -> Floats:
     except (ValueError, EOFError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise ParameterError(
-            f"command file {path} must hold one number a line (CSV) or a vector (NPY): {reason}"
+            f"command file {path} must hold one number a line (CSV) or a vector (NPY): {reason}; leave "
+            "out a header and other columns (with --map, simulate takes the command of a log with readings)"
         ) from error
     if array.dtype.kind not in "fiub":
         raise ParameterError(f"command file {path} must hold real numbers, not {array.dtype}")
-    numbers: Floats = np.asarray(array, dtype=np.float64)
-    if numbers.ndim == 2 and 1 in numbers.shape:
-        numbers = numbers.ravel()
+    numbers: Floats = np.squeeze(np.asarray(array, dtype=np.float64))
     if numbers.ndim != 1 or numbers.size < 2:
         raise ParameterError(
             f"command file {path} must hold one column of two or more numbers, with decimal points; its "

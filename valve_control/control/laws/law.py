@@ -100,24 +100,24 @@ def try_out(law: Law, values: Values) -> None:
     module = law.module
     given = {**values, **defaults(law.parameters)}
     params = law.build(given)
+    plugins.check_results([("build", params, module.Params)])
     state = module.initial(params, Start(0.1, 0.0, 0.1, 0.0, 0.0))
+    plugins.check_results([("initial", state, module.State)])
     voltage, after, terms = module.step(params, state, 0.2, 0.1, 0.0)
     held = module.hold(params, state, 0.2, 0.1, 0.0)
     units = [(f"range of {free.name}", free.unit(given)) for free in law.free]
     chosen = placed([(free, free.from_share(0.5)) for free in law.free], given)
     told = {name: getattr(terms, name) for name in TERMS}
+    told |= {f"build for Params.{name}": getattr(params, name, None) for name in ("u_max", "period")}
     told |= {f"initial for State.{name}": one for name, one in state._asdict().items() if type(one) is int}
     plugins.check_results(
         [
             *((name, value, float) for name, value in [("step", voltage), *told.items(), *units]),
-            ("build", params, module.Params),
-            ("initial", state, module.State),
             ("step", after, module.State),
             ("hold", held, module.State),
             ("step", terms, module.Terms),
         ]
     )
-    needed = {*chosen, *([law.dead_time] if law.dead_time else ())}
-    needed |= {f"{law.name}.theta_initial"} if law.adapts else set()
+    needed = {*chosen, *filter(None, (law.dead_time, f"{law.name}.theta_initial" * law.adapts))}
     for name in sorted(needed - given.keys()):
         raise plugins.PluginError(f"there must be a parameter {name}")

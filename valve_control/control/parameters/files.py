@@ -8,6 +8,7 @@ from typing import Any
 from valve_control.control.laws.registry import LAWS
 from valve_control.control.parameters.ros_file import from_yaml, is_of_ros, parsed, sections
 from valve_control.control.parameters.table import NODES
+from valve_control.control.plant.registry import CHOICES
 from valve_control.parameter import ParameterError, Table, Value, Values, lookup, missing
 
 OF_MACHINE = {"sample_period", "u_max", "command_limit"}
@@ -68,13 +69,9 @@ def given(
     loaded = [load(path, notes, nodes) for path in paths]
     for file in loaded if law else ():
         file["controller"] = of_law(file["controller"], law)
-    options = {
-        node: {name: value for name, value in values.items() if value is not None}
-        for node, values in direct.items()
-    }
-    for values_by_node in (*loaded, options):
+    for values_by_node in (*loaded, direct):
         for node, values in values_by_node.items():
-            changes[node].update(values)
+            changes[node].update({name: value for name, value in values.items() if value is not None})
     for text in settings:
         name, by_node = parse_setting(text, nodes)
         if lookup(_joined(nodes), name).node_only:
@@ -82,11 +79,15 @@ def given(
         for node, value in by_node.items():
             changes[node][name] = value
     chosen = {name: value for values in changes.values() for name, value in values.items()}
-    for name in () if recorded else (text.partition("=")[0].strip() for text in settings):
-        prefix, dot, last = name.rpartition(".")
-        choice = f"{prefix}.model" if dot else "valve"
-        if last in ("numerator", "denominator") and chosen.get(choice) != "custom":
-            raise ParameterError(f"--set {name} has no effect without {choice}=custom")
+    asked = {text.partition("=")[0].strip() for text in settings}
+    for name in () if recorded else chosen:
+        prefix, _, last = name.rpartition(".")
+        choice = "valve" if prefix in ("", *CHOICES) else f"{prefix}.model"
+        wanted = "custom" if last in ("numerator", "denominator") else prefix if prefix in CHOICES else ""
+        if wanted and (name in asked or choice not in chosen):
+            used = chosen.get(choice, lookup(_joined(nodes), choice).default)
+            if used != wanted:
+                raise ParameterError(f"{name} has no effect: {choice} is {used}; add {choice}={wanted}")
     return changes
 
 

@@ -166,8 +166,7 @@ def finite_run(*arguments: Any, **options: Any) -> Run:
 def _at_limit(voltage: Floats, law: Any, plant: Any) -> npt.NDArray[np.bool_]:
     """Whether ``voltage`` [V] of the amplifier is at its limit by the Params of ``law`` and ``plant``."""
     if not isinstance(law, linearisation.Params):
-        at_limit: npt.NDArray[np.bool_] = np.abs(voltage) >= plant.u_max
-        return at_limit
+        return np.asarray(np.abs(voltage) >= plant.u_max)
     low, high = (linearisation.value(law.inverse, side * law.law.u_max) for side in (-1.0, 1.0))
     return (voltage <= low) | (voltage >= high)
 
@@ -277,6 +276,8 @@ def law_function(values: Values) -> Callable[[float, float], float]:
 
     def voltage(command: float, reading: float) -> float:
         """Voltage [V] from ``command`` and ``reading`` [V], once for each sample."""
+        if np.ndim(command) or np.ndim(reading):
+            raise ParameterError("the law takes one sample a call: two floats, no arrays")
         wanted = saturate(command, limit)
         start = Start(reading, 0.0, reading, 0.0, 0.0)
         before, state = memory or (command_lead.initial(wanted), law.initial(params, start))

@@ -183,7 +183,7 @@ def fit(
         model_error = form.model_error(x)
         weight = 1.0 / np.hypot(measured.deviation, model_error * size)
     model, delay = form.model(x)
-    _check_poles(model, order, measured.frequency)
+    _check_poles(model, order, measured)
     distance = np.abs(form.errors(x))
     error = float(np.sqrt(np.mean((distance / size) ** 2)))
     if error > UNSTABLE * free_error:
@@ -213,8 +213,8 @@ def fit(
     )
 
 
-def _check_poles(model: TransferFunction, order: int, frequency: Floats) -> None:
-    """Raise ParameterError for a ``model`` on the edge of stability or far outside ``frequency`` [Hz]."""
+def _check_poles(model: TransferFunction, order: int, measured: Response) -> None:
+    """Raise ParameterError for a ``model`` on the edge of stability or far outside what was ``measured``."""
     poles = np.roots(model.denominator)
     hertz = np.abs(poles) / (2.0 * np.pi)
     damping = -poles.real / np.abs(poles)
@@ -223,12 +223,13 @@ def _check_poles(model: TransferFunction, order: int, frequency: Floats) -> None
             f"the fit of order {order} is unstable or on the edge of it (poles at "
             f"{hertz[np.argmin(damping)]:.4g} Hz without damping); choose another order or a better test"
         )
-    low, high = float(frequency[0]), float(frequency[-1])
+    low, high = float(measured.frequency[0]), float(measured.frequency[-1])
+    wider = f"test a wider range, at 500 readings a second or more (these: {1.0 / measured.period:.4g})"
     for at in (float(np.min(hertz)), float(np.max(hertz))):
         if at < DEPTH * low or at > BAND * high:
             raise ParameterError(
                 f"the fit of order {order} puts a pole at {at:.4g} Hz, far outside the measured "
-                f"{low:.4g} to {high:.4g} Hz; choose a lower order"
+                f"{low:.4g} to {high:.4g} Hz; {'choose a lower order' if order > 2 else wider}"
             )
 
 

@@ -241,8 +241,8 @@ def _response(
     points: list[tuple[float, complex, float, float]], period: float, method: str, notes: list[str]
 ) -> Response:
     if not points:
-        reason = notes[0] if notes else "no frequency was excited"
-        raise ParameterError(f"no frequency can be used: {reason}; {NEXT}")
+        few = f"too few of those asked for can be seen in readings {period:.4g} s apart"
+        raise ParameterError(f"no frequency can be used: {f'{notes[0]}; {NEXT}' if notes else few}")
     columns = list(zip(*sorted(points, key=lambda point: point[0]), strict=True))
     frequency, deviation, coherence = (np.array(columns[i], dtype=np.float64) for i in (0, 2, 3))
     value = np.array(columns[1], dtype=np.complex128)

@@ -265,9 +265,7 @@ def as_dict(found: Identification) -> dict[str, Any]:
 
 def plain(value: Any) -> Any:
     """``value`` with a dict in place of each record in it, for JSON."""
-    return (
-        {name: plain(part) for name, part in value._asdict().items()} if hasattr(value, "_asdict") else value
-    )
+    return {n: plain(part) for n, part in value._asdict().items()} if hasattr(value, "_asdict") else value
 
 
 def draw_bode(paths: Sequence[Path], found: Identification, figure: Any = None) -> None:

@@ -39,7 +39,7 @@ def quantities(fixed: Sequence[str], chosen: Container[str], task: str) -> list[
             unit = "" if q.unit == "-" else f" {q.unit}"
             raise ParameterError(
                 f"{task} varies {q.name} from {q.low:g} to {q.high:g}{unit}; leave --set {q.name} out, or "
-                f"keep its value with --fix {q.name}"
+                f'keep its value with --fix="{q.name}"'
             )
     return varied
 
@@ -112,7 +112,7 @@ def with_dead_time(law: Law, settings: Settings, box: Sequence[Quantity]) -> tup
         law.build(changed)
     except ParameterError:
         return values, ""
-    note = f"{law.dead_time} {expected:g} s, the expected lvdt.delay; --set {law.dead_time}=… says otherwise"
+    note = f"{law.dead_time} is {expected:g} s, the expected lvdt.delay; --set {law.dead_time} changes it"
     return changed, note if expected else ""
 
 
@@ -139,7 +139,7 @@ def with_model(law: Law, settings: Settings, given: Container[str]) -> tuple[Val
             law.build(updated(CONTROLLER, changed, variant))
     except ParameterError as error:
         return values, f"{name} stays {values[name]}, which is another valve than the one given: {error}"
-    return changed, f"{name} is that of the valve, {changed[name]}; --set {name}=… says otherwise"
+    return changed, f"{name} is that of the valve, {changed[name]}; --set {name} changes it"
 
 
 def check_reach(plant: Values, wanted: float, name: str) -> None:

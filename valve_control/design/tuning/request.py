@@ -121,8 +121,9 @@ def _controller(
     limits = reshaping.limits(build.valve_model(plant), number(values, "u_max"))
     usual = defaults(reshaping.PARAMETERS)
     if limits and not any(name in chosen or values[name] != usual[name] for name in limits):
-        text = " and ".join(f"{name} {value}" for name, value in limits.items())
-        notes.append(f"{text}, (6) and (7) of this valve; --set says otherwise")
+        accel, rate = limits.values()
+        text = f"the reference is limited to {accel} V/s² and {rate} V/s, the most of this valve ((6), (7))"
+        notes.append(f"{text}; --set reshaping.max_accel and reshaping.max_rate change them")
         values = updated(CONTROLLER, values, limits)
     return values, [note for note in notes if note]
 

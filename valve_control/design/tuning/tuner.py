@@ -155,7 +155,7 @@ def tuned(
         if chosen is not None and (firm or not chosen.verified.seen.chatter > verification.SLACK * wanted):
             break
     assert chosen is not None, "the last of the wishes fits a point"
-    if kept != chatter:
+    if kept != chatter and math.isfinite(least):
         notes.append(
             f"no set within c_u {chatter:g}: the least is {least:.3g}; those up to {kept:.3g} are taken"
         )

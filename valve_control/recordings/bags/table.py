@@ -23,6 +23,7 @@ ROW = "row"  # the number of a row from 0, as in time=row*0.001
 SCALED = re.compile(r"(?P<source>.+?)\s*(?P<scale>@[^@]+|\*[^*]+)")
 LONGEST = 9e9  # s, as long as nanoseconds can be counted
 GAP = 5.0  # usual steps of time from which on rows are missing
+SLOW, LARGE = 0.1, 50.0  # s between rows, V of a tenth of them, from which on it may be ms, mV or %
 ONE = Scale(1.0)
 
 
@@ -264,6 +265,11 @@ class TableFile:
             rows = self.times[i][0]
             steps = np.diff(self.times[i][1]) * 1e-9
             usual = np.median(steps[steps > 0.0]) if steps.any() else np.inf
+            if SLOW <= usual < np.inf:
+                notes.append(f"the rows are {usual:.4g} s apart; if this is ms: --map time=COLUMN*0.001")
+            name, size = self.topics[i].name.removeprefix("/"), np.abs(np.nan_to_num(column.values[rows]))
+            if len(size) and scales[self.topics[i].name] == ONE and (top := np.quantile(size, 0.9)) > LARGE:
+                notes.append(f"{name} goes to {top:.4g} V; map {name}*0.001 if it is in mV, {name}@% if in %")
             for gap in (gaps := np.flatnonzero(steps > GAP * usual))[:1]:
                 notes.append(
                     f"the time leaps by more than {GAP:g} usual steps in {len(gaps)} place(s), the first "
@@ -271,7 +277,6 @@ class TableFile:
                     "missing"
                 )
             if empty := np.count_nonzero(np.isnan(column.values[rows])):
-                name = self.topics[i].name.removeprefix("/")
                 notes.append(f"{name} is empty in {empty} of {len(rows)} rows")
         bare = [self.columns[i] for i in found if scales[self.topics[i].name] == ONE]
         unknown = [c for c in bare if c.unit and c.unit.lower() not in UNITS]
