@@ -376,7 +376,7 @@ def voltage_in_force(p: Params, memory: Memory) -> float:
 
 
 def refuse(p: Params, memory: Memory, fault: str, lost: int) -> None:
-    """Bridge a reading that cannot be believed, or switch off if there have been too many."""
+    """Keep the voltage for a reading that cannot be believed, or switch off if there have been too many."""
     count(memory, "lvdt_refused")
     memory.trust = memory.trust._replace(bridged=memory.trust.bridged + 1 + lost, sound=0)
     if memory.trust.blocked != "":

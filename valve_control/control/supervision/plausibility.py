@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 valve_control developers
 # SPDX-License-Identifier: Apache-2.0
-"""Compares LVDT readings with the voltage by the law's model: finds a wrong sign or gain, in motion.
+"""Compares LVDT readings with the voltage by a model of the valve: finds a wrong sign or gain, in motion.
 
 A reading asks for the voltage w = (y'' + a1·y' + a0·y)/b0; of a sound LVDT that is the applied voltage plus a
 disturbance, of one with the wrong sign it is minus that. Two outputs are correlated with the voltage u, both
