@@ -60,7 +60,12 @@ def test_the_law_of_a_run_gives_the_same_voltages_in_a_loop_of_the_user():
     signals = zip(1.2 * MOTION, run.arrays["measurement"], strict=True)
     assert [voltage(*row) for row in signals] == list(run.arrays["voltage"])
     pytest.raises(KeyError, run.__getitem__, "e_rms").match("e_rms; there are .*indices")
-    assert vc.compare(VALVE, duration=1.0).to_dataframe()["law"].tolist()[:2] == ["arc", "oarc"]
+
+
+def test_compare_runs_the_laws_that_are_named_and_says_that_a_command_rests(capsys):
+    resting = vc.compare(VALVE, controller="pid, oarc", command=np.zeros(9))
+    assert resting.to_dataframe()["law"].tolist() == ["pid", "oarc"]
+    assert "note: the command does not move in 9 samples of 0.001 s" in capsys.readouterr().err
 
 
 def test_parameters_go_from_one_task_to_the_next(tmp_path):
@@ -100,7 +105,7 @@ def test_a_log_of_arrays_is_analysed(tmp_path):
         (lambda: vc.simulate(controller=json), "give the descriptor: json.LAW"),
         (lambda: vc.tune(valves=None), "none is no whole number"),
         (lambda: vc.analyze(MOTION), "a ndarray is no file; write it with to_csv"),
-        (lambda: vc.simulate(controller="pdi"), "^controller: there is no law 'pdi'; did you mean 'pid'"),
+        (lambda: vc.compare(controller="pid,pdi"), "^controller: there is no law 'pdi'; did you mean 'pid'"),
         (lambda: vc.simulate(command=[MOTION, MOTION]), "command has 2 entries"),
         (lambda: vc.simulate(command=np.zeros((3, 2))), "is no motion"),
         (lambda: vc.simulate(command=1j * MOTION), "is no motion"),

@@ -84,7 +84,7 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
         (["export", "--output", "e/", "--json", "e"], ["e is given for two outputs"]),
         (["export", "--output", "e", "--set", "friction.coulomb=1"], ["a law alone", "friction.coulomb"]),
         (["margins", "--set", "amplitude=1"], ["at rest", "amplitude"]),
-        (["compare", "--set", "controller=pid"], ["every controller", "--set controller"]),
+        (["compare", "--set", "controller=pid"], ["--set controller", "--controller LAW"]),
         (["commission", "--undo", "--folder", "nosuch"], ["no commissioning in nosuch"]),
         (["simulate", "--duraton", "3"], ["valve-control simulate", "--duraton 3"]),
         (["parameters", "zzz"], ["no parameter has 'zzz' in its name"]),

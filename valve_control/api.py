@@ -377,9 +377,9 @@ def simulate(*parameters: "Source", **options: Any) -> Result:
 
 
 def compare(*parameters: "Source", **options: Any) -> Result:
-    """Simulate all controllers on one valve.
+    """Simulate all controllers, or some, on one valve.
 
-    Example: ``compare("valve.yaml", command=motion).to_dataframe()``
+    Example: ``compare("valve.yaml", controller="pid,dcarc", command=motion).to_dataframe()``
     Numbers: runs: those of simulate, for each law.
     """
     return _Call("compare", (), parameters, options).result()

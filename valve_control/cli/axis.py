@@ -59,9 +59,8 @@ def _axis(arguments: argparse.Namespace) -> None:
         title = f"axis under {setup.level}, valve under {setup.law} ({common.names_of_files(arguments)})"
         _draw(Path(arguments.figure), found, title)
         common.wrote(arguments, arguments.figure)
-    common.write_json(
-        arguments, {"controller": setup.law, "upper_level": setup.level, **i._asdict(), **_extremes(found)}
-    )
+    levels = {"controller": setup.law, "upper_level": setup.level}
+    common.write_json(arguments, {**levels, **i._asdict(), **_extremes(found)})
 
 
 def _extremes(found: "Run") -> dict[str, float]:

@@ -121,15 +121,13 @@ def _undo(arguments: argparse.Namespace, controller: "Controller") -> int:
     folder = _folder(arguments)
     count = sequence.restore(controller, _backup(folder))
     folder.mark(UNDONE)
-    common.say(
-        arguments, f"{count} parameters of {folder.node} set back; all are as before the commissioning"
-    )
+    text = f"{count} parameters of {folder.node} set back; all are as before the commissioning"
+    common.say(arguments, text)
     if arguments.activate:
         controller.on()
     if not controller.active:
-        common.say(
-            arguments, "the controller is inactive and gives 0 V; --undo --activate lets it work again"
-        )
+        text = "the controller is inactive and gives 0 V; --undo --activate lets it work again"
+        common.say(arguments, text)
     return 0
 
 

@@ -67,6 +67,11 @@ def _law(name: str) -> str:
     return name
 
 
+def laws(names: str) -> list[str]:
+    """Type of an option for laws with commas between them."""
+    return list(dict.fromkeys(_law(name.strip()) for name in names.split(",")))
+
+
 def law_option(group: Any, text: str = "control law (default: that of the files, else arc)") -> None:
     """Add --controller, with the help ``text``."""
     group.add_argument("--controller", type=_law, choices=LAWS, help=text)

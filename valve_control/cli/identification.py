@@ -51,9 +51,8 @@ def add_commands(commands: Any) -> None:
         "simulated or comes from a second BAG (scenario: triangle, amplitude: 4.0, frequency: 0.2, "
         "cycles: 9); the response of a stepped sine is then corrected for friction",
     )
-    identify.add_argument(
-        "bag", nargs="?", metavar="BAG", help="recorded stepped sine, sweep or other motion"
-    )
+    text = "recorded stepped sine, sweep or other motion"
+    identify.add_argument("bag", nargs="?", metavar="BAG", help=text)
     identify.add_argument(
         "--data-sheet",
         action="extend",

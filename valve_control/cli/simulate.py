@@ -98,9 +98,10 @@ def add_commands(commands: Any) -> None:
     compare = commands.add_parser(
         "compare",
         parents=[setup_options(), delivery_options()],
-        help="simulate all controllers",
-        description="Run every controller on one valve and one command.",
+        help="simulate all or some controllers",
+        description="Run every controller, or some, on one valve and one command.",
     )
+    compare.add_argument("--controller", type=common.laws, metavar="LAW,…", help="laws to run (all)")
     common.output_group(compare, figure=FIGURE)
     compare.set_defaults(run=_compare)
     text = "list parameters with unit, range and meaning"
@@ -152,6 +153,9 @@ def _command(arguments: argparse.Namespace, settings: Mapping[str, Values]) -> A
         command = build.commands(values)
     if (most := np.max(np.abs(command))) > limit:
         common.tell_notes([f"the command reaches {most:g} V; command_limit cuts it at {limit:g} V"])
+    if values["scenario"] == "array" and np.ptp(command) == 0.0:
+        step, count = number(values, "sample_period"), len(command)
+        common.tell_notes([f"the command does not move in {count} samples of {step:g} s"])
     return command
 
 
@@ -187,7 +191,7 @@ def _figure(
     arguments: argparse.Namespace, runs: Sequence[offline.Run], settings: Mapping[str, Values]
 ) -> None:
     traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
-    law = runs[0].controller if len(runs) == 1 else "all laws"
+    law = "all laws" if len(runs) == len(LAWS) else ", ".join(run.controller for run in runs)
     arguments.draw = partial(draw_traces, traces=traces, title=title_of(arguments, law, settings))
     if arguments.figure is not None:
         arguments.draw([Path(arguments.figure)])
@@ -270,11 +274,12 @@ def _traces(arguments: argparse.Namespace, run: offline.Run) -> None:
 
 
 def _compare(arguments: argparse.Namespace) -> None:
-    settings = settings_of(arguments)
     if any(text.partition("=")[0].strip() == "controller" for text in arguments.set):
-        raise ParameterError("compare runs every controller, so it takes no --set controller")
+        raise ParameterError("compare takes no --set controller; --controller LAW,… names the laws to run")
+    laws, arguments.controller = arguments.controller or LAWS, None  # settings_of takes one law
+    settings = settings_of(arguments)
     command, runs = _command(arguments, settings), []
-    for law in LAWS:
+    for law in laws:
         own = {**settings_of(arguments, law)["controller"], "controller": law}
         runs.append(_run(arguments, {**settings, "controller": own}, command))
     if arguments.json != "-":

@@ -147,10 +147,8 @@ def _chosen(arguments: argparse.Namespace) -> "Study":
         if not own:
             raise ParameterError("a command array has one number per sample period; give --sample-period too")
         if arguments.duration is None:  # the whole array
-            length = len(arrays.read(word(source, "command_file")))
-            settings["command_source"] = updated(
-                NODES["command_source"], source, {"duration": length * period}
-            )
+            length = period * len(arrays.read(word(source, "command_file")))
+            settings["command_source"] = updated(NODES["command_source"], source, {"duration": length})
     chosen = robustness.Study(
         settings,
         arguments.valves,

@@ -55,9 +55,8 @@ def add_commands(commands: Any) -> None:
         "loop has to keep its margins all over the box. Gains are written only if they pass a "
         "verification with other valves, noise and commands. --seed is the seed of the search.",
     )
-    tune.add_argument(
-        "--controller", metavar="LAW,…", help="laws to tune, or all (default: that of the parameter files)"
-    )
+    text = "laws to tune, or all (default: that of the parameter files)"
+    tune.add_argument("--controller", metavar="LAW,…", help=text)
     group = tune.add_argument_group("objective")
     text = "limit of the mean chatter c_u (%(default)s); if no gains keep it, 1.25 times the least"
     common.numbers(group, ("max-chatter", common.within(1e-6, 1e3), common.CHATTER, "RATIO", text))
