@@ -161,7 +161,7 @@ def spectral(stretches: Sequence[Floats], period: float, lowest: float, highest:
     grids = [np.fft.rfftfreq(stretch.shape[1] - 1, period) for stretch in ordered]
     strongest = max(np.max(np.abs(s[0, 1:]) / f[1:]) for s, f in zip(spectra, grids, strict=True))
     frequency, points, first = grids[0], [], int(np.searchsorted(grids[0], lowest))
-    still, incoherent = 0, list[float]()
+    still, incoherent = 0, dict[float, float]()  # coherence by frequency [Hz]
     while first < len(frequency) and frequency[first] <= highest:
         begin = first
         first = end = max(begin + BAND_BINS, int(np.searchsorted(frequency, frequency[begin] * BAND_RATIO)))
@@ -170,16 +170,10 @@ def spectral(stretches: Sequence[Floats], period: float, lowest: float, highest:
         within = [(f >= frequency[begin]) & (f <= frequency[end - 1]) for f in grids]
         within = [part if np.count_nonzero(part) > DEGREE + 1 else part & False for part in within]
         r, u, y = np.hstack([s[:, part] for s, part in zip(spectra, within, strict=True)])
-        at = np.concatenate([f[part] for f, part in zip(grids, within, strict=True)])
-        smooth, _ = np.linalg.qr(
-            scipy.linalg.block_diag(
-                *(
-                    np.vander(f[part] / frequency[begin] - 1.0, DEGREE + 1)
-                    for f, part in zip(grids, within, strict=True)
-                    if np.any(part)
-                )
-            )
-        )
+        parts = [f[part] for f, part in zip(grids, within, strict=True)]
+        at = np.concatenate(parts)
+        blocks = [np.vander(part / frequency[begin] - 1.0, DEGREE + 1) for part in parts if len(part)]
+        smooth, _ = np.linalg.qr(scipy.linalg.block_diag(*blocks))
         moved = _apart(r, smooth)
         power = np.abs(moved) ** 2
         told_apart = np.sum(power) > APART**2 * np.sum(np.abs(r) ** 2)
@@ -191,14 +185,17 @@ def spectral(stretches: Sequence[Floats], period: float, lowest: float, highest:
         degree = DEGREE if lines >= 2 * (DEGREE + 1) else 0
         value, deviation, coherence = _local(r, u, y, at - middle, smooth, degree)
         if coherence < LEAST_COHERENCE or abs(value) < RESOLUTION * deviation:
-            incoherent.append(coherence)
+            incoherent[middle] = coherence
             continue
         points.append((middle, value, max(deviation, CERTAIN * abs(value)), coherence))
     reasons = [f"in {still} the excitation does not move"] if still else []
     if incoherent:
+        last = points[-1][0] if points else math.inf
+        above = f" above {last:.3g} Hz" if min(incoherent) > last else ""
+        least = min(incoherent.values())
         reasons.append(
-            f"in {len(incoherent)} the position is lost in noise or another motion: its coherence with the "
-            f"excitation falls to {min(incoherent):.2g}, and must be {LEAST_COHERENCE:g} at least"
+            f"in {len(incoherent)}{above} the position is lost in noise or another motion: its coherence "
+            f"with the excitation falls to {least:.2g}, and must be {LEAST_COHERENCE:g} at least"
         )
     count = still + len(incoherent)
     notes = [f"{count} of {count + len(points)} bands of frequency are left out: {', '.join(reasons)}"]

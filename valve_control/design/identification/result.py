@@ -19,7 +19,7 @@ from valve_control.design.identification.bode import Corners, Root
 from valve_control.design.identification.bode_fit import Fit
 from valve_control.design.identification.characteristic import Characteristic, known_part
 from valve_control.design.identification.first_gains import KnownValve, rounded
-from valve_control.design.identification.response import Response
+from valve_control.design.identification.response import LEAST_COHERENCE, Response
 from valve_control.parameter import Values, defaults, updated
 
 STABLE = "Stable with 0.67 to 1.5 times the gain, 0.8 to 1.25 times the speed, one more sample of delay."
@@ -282,5 +282,6 @@ def draw_bode(paths: Sequence[Path], found: Identification, figure: Any = None) 
             lines.append(Line(label, frequency, read(value)))
         lines.append(Line("measured", m.frequency, read(m.value), "black", "o"))
         plots.append(Plot(title, lines))
-    plots.append(Plot("coherence", [Line("", m.frequency, m.coherence, "gray")]))
+    least = Line("limit for a sweep", m.frequency, np.full(len(m.frequency), LEAST_COHERENCE), "gray", "--")
+    plots.append(Plot("coherence", [Line("", m.frequency, m.coherence, "gray"), least]))
     draw_columns(paths, {"": plots}, "frequency [Hz]", found.source, logarithmic_x=True, figure=figure)
