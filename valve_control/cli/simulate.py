@@ -191,7 +191,7 @@ def _figure(
     arguments: argparse.Namespace, runs: Sequence[offline.Run], settings: Mapping[str, Values]
 ) -> None:
     traces = {r.controller: Trace(r.time, r.command, r.measurement, r.voltage) for r in runs}
-    law = "all laws" if len(runs) == len(LAWS) else ", ".join(run.controller for run in runs)
+    law = runs[0].controller if len(runs) == 1 else f"{len(runs)} laws"
     arguments.draw = partial(draw_traces, traces=traces, title=title_of(arguments, law, settings))
     if arguments.figure is not None:
         arguments.draw([Path(arguments.figure)])
