@@ -18,6 +18,7 @@ from valve_control.design.commissioning.bench import Record
 from valve_control.design.commissioning.sequence import Result
 from valve_control.design.identification import bode, result
 from valve_control.design.tuning import checks, limits, verification
+from valve_control.parameter import number
 
 THIN = 5  # every n-th sample of the slow triangle is drawn
 
@@ -84,18 +85,17 @@ def _valve(found: Result) -> str:
         "friction in motion": f"{valve.friction.coulomb:.3g} V",
         "friction at rest, over that in motion": f"{valve.friction.static_ratio:.3g}",
         "elastic travel before the spool slides": f"{1e3 * valve.presliding:.3g} mV",
-        "dead time": f"{1e3 * valve.delay:z.2f} ms",
+        "dead time in all": f"{1e3 * valve.delay:z.2f} ms",
         "poles": result.roots_text(bode.roots(valve.model.denominator)),
         "zeros": result.roots_text(bode.roots(valve.model.numerator)),
-        "rms residual over what noise and 3 % of the motion allow": f"{valve.error:.2g}",
+        "rms residual over what noise and 3 % of the motion allow (below 1 is good)": f"{valve.error:.2g}",
     }
     if valve.magnet is not None:
         own = valve_fit.solenoid_values(valve.magnet, found.plan.sensor_delay)
-        rows |= {
-            f"{p.text} ({p.name})": f"{own[p.name]:.3g} {p.unit}".removesuffix(" -")
-            for p in VALVE
-            if p.name.startswith("solenoid.") and p.name in own
-        }
+        for p in VALVE:
+            if p.name.startswith("solenoid.") and p.name in own:
+                factor, unit = (1e3, "ms") if p.unit == "s" else (1.0, p.unit)
+                rows[f"{p.text} ({p.name})"] = f"{factor * number(own, p.name):.3g} {unit}".removesuffix(" -")
     return _table(rows)
 
 
