@@ -35,6 +35,8 @@ def test_a_function_gives_what_the_command_writes(tmp_path, capsys):
     assert np.sqrt(np.mean(error**2)) == pytest.approx(run["true_error"]["e_rms"], rel=1e-9)
     assert "<pre>" in run._repr_html_() and len(run.to_dataframe()) == len(MOTION)
     assert run.plot().get_suptitle() == "pid (my_valve.yaml) on the valve custom: command"
+    laws = vc.compare(VALVE, controller="pid, oarc", command=np.zeros(9)).to_dataframe()["law"]
+    assert laws.tolist() == ["pid", "oarc"] and "does not move in 9 samples" in capsys.readouterr().err
 
 
 def test_the_loop_of_margins_has_the_phase_margin_that_it_tells():
@@ -60,12 +62,6 @@ def test_the_law_of_a_run_gives_the_same_voltages_in_a_loop_of_the_user():
     signals = zip(1.2 * MOTION, run.arrays["measurement"], strict=True)
     assert [voltage(*row) for row in signals] == list(run.arrays["voltage"])
     pytest.raises(KeyError, run.__getitem__, "e_rms").match("e_rms; there are .*indices")
-
-
-def test_compare_runs_the_laws_that_are_named_and_says_that_a_command_rests(capsys):
-    resting = vc.compare(VALVE, controller="pid, oarc", command=np.zeros(9))
-    assert resting.to_dataframe()["law"].tolist() == ["pid", "oarc"]
-    assert "note: the command does not move in 9 samples of 0.001 s" in capsys.readouterr().err
 
 
 def test_parameters_go_from_one_task_to_the_next(tmp_path):

@@ -36,9 +36,8 @@ def add_commands(commands: Any) -> None:
         "voltage and travel within their limits. Ctrl-C, a fault or a failure lead to 0 V at once and "
         "restore the previous parameters, and activity.",
     )
-    commission.add_argument(
-        "--node", default="/controller", metavar="NAME", help="full name of the controller node (/controller)"
-    )
+    text = "full name of the controller node (/controller)"
+    commission.add_argument("--node", default="/controller", metavar="NAME", help=text)
     common.numbers(
         commission.add_argument_group("limits"),
         ("max-voltage", common.within(0.1, 1e3), 4.0, "V", "largest voltage, up and down (%(default)g V)"),

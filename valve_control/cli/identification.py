@@ -65,9 +65,8 @@ def add_commands(commands: Any) -> None:
     group = identify.add_argument_group("measurement and fit")
     text = "time [s] left out at the beginning of each step of frequency (0.4)"
     common.numbers(group, ("settle", float, None, "S", text), ("sensor-delay", float, None, "S", DELAY))
-    group.add_argument(
-        "--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help="fit only these frequencies [Hz]"
-    )
+    text = "fit only these frequencies [Hz]"
+    group.add_argument("--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help=text)
     group.add_argument(
         "--order",
         type=int,
@@ -99,9 +98,8 @@ def _identify(arguments: argparse.Namespace) -> int:
     tested = arguments.data_sheet is None
     found = _tested(arguments) if tested else _of_data_sheet(arguments)
     if arguments.characteristic and found.curve is None:
-        raise ParameterError(
-            "there is no characteristic curve: the slow triangle moved the spool to one side alone"
-        )
+        text = "there is no characteristic curve: the slow triangle moved the spool to one side alone"
+        raise ParameterError(text)
     files: list[tuple[str, str | bytes]] = [(path, result.linearisation_text(found)) for path in tables]
     if arguments.output is not None or not tested:
         result.check_parameters(result.parameters(found))
