@@ -10,7 +10,7 @@ import scipy.signal
 
 from valve_control.control.parameters.table import NODES
 from valve_control.control.plant.transfer_functions import TransferFunction
-from valve_control.design.identification import first_gains, theta
+from valve_control.design.identification import experiment, first_gains, theta
 from valve_control.design.identification.friction import Friction
 from valve_control.design.identification.lvdt import Lvdt
 from valve_control.design.identification.result import Identification
@@ -60,7 +60,8 @@ def valve(changes: Values) -> Identification:
     gains = first_gains.first(known)
     rows = (f"{name} {value:g} {lookup(SHEET, name).unit}" for name, value in changes.items())
     source = "data sheet: " + ", ".join(row.removesuffix(" -") for row in rows)
-    return Identification(source, known, gains.values, gains.notes)
+    notes = (*experiment.period_notes(period, model), *gains.notes)
+    return Identification(source, known, gains.values, notes)
 
 
 def _model(frequency: float, damping: float, gain: float) -> TransferFunction:

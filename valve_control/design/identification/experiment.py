@@ -12,9 +12,9 @@ from valve_control.arrays import Floats
 from valve_control.control.commands import scenarios
 from valve_control.control.parameters import build
 from valve_control.control.parameters.table import COMMAND, CONTROLLER
+from valve_control.control.plant.transfer_functions import TransferFunction
 from valve_control.control.simulation import offline
 from valve_control.design.identification import response
-from valve_control.design.identification.bode_fit import Fit
 from valve_control.design.identification.response import Response, Segment
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
 
@@ -214,9 +214,9 @@ def estimate(experiment: Experiment, settle: float, band: tuple[float, float] | 
     return measured
 
 
-def period_notes(period: float, second: Fit) -> list[str]:
-    """A sentence if the sample ``period`` [s] is too long for the valve of the ``second`` order."""
-    natural = math.sqrt(max(0.0, second.model.denominator[-1])) / (2.0 * math.pi)
+def period_notes(period: float, second: TransferFunction) -> list[str]:
+    """A sentence if the sample ``period`` [s] is too long for the valve, a model of the ``second`` order."""
+    natural = math.sqrt(max(0.0, second.denominator[-1])) / (2.0 * math.pi)
     if natural * period * SAMPLES <= 1.0:
         return []
     return [

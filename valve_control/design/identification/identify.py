@@ -138,7 +138,7 @@ def _with_gains(
     notes = [
         *tested.notes,
         *measured.notes,
-        *experiment.period_notes(measured.period, second),
+        *experiment.period_notes(measured.period, second.model),
         *dead_time.notes(best.delay, request.sensor_delay),
         *gains.notes,
     ]
