@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control.cli import common
-from valve_control.cli.simulate import SCENARIOS, setup_options
-from valve_control.control.commands import arrays
+from valve_control.cli.simulate import PERIOD, SCENARIOS, motion, setup_options
 from valve_control.control.parameters import files as parameter_files
 from valve_control.control.parameters.table import NODES
 from valve_control.parameter import ParameterError, Values, defaults, number, updated
@@ -168,11 +167,11 @@ def _simulated(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment |
     period, test = number(valve, "sample_period"), changes["command_source"]
     if arguments.friction is not None and "amplitude" not in test:
         test = {"amplitude": friction.SHARE * number(valve, "u_max"), **test}
-    command, motion = experiment.test_values(test, period), None
+    command, numbers = experiment.test_values(test, period), None
     if arguments.command is not None:
-        motion = arrays.read(arguments.command)
+        numbers = motion(arguments, arguments.command, period)
         command = {**command, "scenario": "array"}
-    tested = experiment.simulated(controller, valve, command, motion)
+    tested = experiment.simulated(controller, valve, command, numbers)
     if arguments.friction is None:
         return tested, None
     slow: Values = experiment.test_values(friction.TEST, period)
@@ -183,6 +182,9 @@ def _recorded(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | 
     """Tests in bags: of the response, and of the friction if it is asked for."""
     from valve_control.design.identification import recorded
 
+    if arguments.sample_period is not None:
+        text = "it has its own; for a longer one thin the log, such as every second row"
+        raise ParameterError(f"identify with a bag takes no --sample-period: {text}")
     common.refuse(arguments, SIMULATED, "identify with a bag")
     paths = [path for path in (arguments.bag, arguments.friction) if path is not None]
     tests = []
@@ -195,4 +197,7 @@ def _recorded(arguments: argparse.Namespace) -> "tuple[Experiment, Experiment | 
             both = "--map counts for both tests: give two bags, or two tables with the same columns"
             raise BagError(f"{error} ({both})") from error
         tests.append(recorded.recorded(loaded, common.valve_of(arguments, path, loaded.valves)))
+    if (period := tests[0].period) != PERIOD:
+        one = f"{1e3 * period:.4g} ms"
+        common.tell_notes([f"sample period {one}, as recorded; a motion has one number per {one}"])
     return tests[0], tests[1] if len(tests) > 1 else None

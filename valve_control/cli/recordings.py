@@ -18,15 +18,16 @@ if TYPE_CHECKING:
     from valve_control.recordings.report import Report
 
 
-def _bag_options() -> common.Parser:
-    options = common.Parser(add_help=False)
-    options.add_argument(
+def add_commands(commands: Any) -> None:
+    """Add analyze, replay and bag to the command's sub-commands."""
+    shared = common.Parser(add_help=False)
+    shared.add_argument(
         "bag",
         metavar="BAG",
         help=f"folder with metadata.yaml, an .mcap or .db3 file, or a log: {', '.join(KINDS)}",
     )
     common.bag_options(
-        options.add_argument_group("input"),
+        shared.add_argument_group("input"),
         "source of spool_command, spool_position or valve_voltage: any number of any message, such "
         "as spool_position=/joint_states.position[0]*250 (volts per unit after *, with an "
         "offset *1.25-15; or one of the words @%%, @0..10V, @4..20mA); boom/spool_position=... for a valve "
@@ -35,16 +36,10 @@ def _bag_options() -> common.Parser:
         of=False,
     )
     common.output_group(
-        options,
+        shared,
         csv="aligned signals as CSV (of several valves: one file each)",
         html="one self-contained page with zoomable figures",
     )
-    return options
-
-
-def add_commands(commands: Any) -> None:
-    """Add analyze, replay and bag to the command's sub-commands."""
-    shared = _bag_options()
     analyze = commands.add_parser(
         "analyze",
         parents=[shared],
@@ -52,7 +47,19 @@ def add_commands(commands: Any) -> None:
         description="Analyse a rosbag2 recording or a log, without ROS.",
     )
     analyze.set_defaults(run=_analyze)
-    _add_replay(commands, shared)
+    replay = commands.add_parser(
+        "replay",
+        parents=[shared],
+        help="replay a bag: a controller on the recorded commands and readings",
+        description="Shadow replay: a controller receives the recorded command and LVDT readings; its "
+        "voltage is compared with the recorded one. 'valve-control simulate --command BAG' closes the loop "
+        "with a simulated valve.",
+    )
+    replay.add_argument("--of", metavar="VALVE", help="valve to replay, if the bag has several")
+    group = replay.add_argument_group("instead of the recorded parameters")
+    common.law_option(group, "control law")
+    common.parameter_options(group, "a parameter")
+    replay.set_defaults(run=_replay)
     text = "copy a damaged or unfinished bag"
     bag = commands.add_parser("bag", help=text, description=f"{text.capitalize()}.")
     tasks = bag.add_subparsers(dest="bag_task", required=True, metavar="TASK")
@@ -67,22 +74,6 @@ def add_commands(commands: Any) -> None:
     recover.add_argument("--out", metavar="FOLDER", help="new bag (default: BAG_recovered)")
     common.output_group(recover)
     recover.set_defaults(run=_recover)
-
-
-def _add_replay(commands: Any, shared: argparse.ArgumentParser) -> None:
-    replay = commands.add_parser(
-        "replay",
-        parents=[shared],
-        help="replay a bag: a controller on the recorded commands and readings",
-        description="Shadow replay: a controller receives the recorded command and LVDT readings; its "
-        "voltage is compared with the recorded one. 'valve-control simulate --command BAG' closes the loop "
-        "with a simulated valve.",
-    )
-    replay.add_argument("--of", metavar="VALVE", help="valve to replay, if the bag has several")
-    group = replay.add_argument_group("instead of the recorded parameters")
-    common.law_option(group, "control law")
-    common.parameter_options(group, "a parameter")
-    replay.set_defaults(run=_replay)
 
 
 def _analyze(arguments: argparse.Namespace) -> None:
@@ -114,7 +105,7 @@ def _csv_files(path: str | None, valves: "dict[str, ValveAnalysis]") -> dict[str
     return {f"{stem}_{name.replace('/', '_')}{ending}": aligned_csv(s) for name, s in usable.items()}
 
 
-def _replay(arguments: argparse.Namespace) -> int:
+def _replay(arguments: argparse.Namespace) -> None:
     from valve_control.recordings import replay_report, shadow_replay
     from valve_control.recordings.analysis import analyze
 
@@ -131,7 +122,6 @@ def _replay(arguments: argparse.Namespace) -> int:
     report = replay_report.of_shadow(result, arguments.bag, found.valve.name)
     csv_files = {} if arguments.csv is None else {arguments.csv: common.csv_text(report.columns, "%.17g")}
     _deliver(arguments, report, csv_files)
-    return 0
 
 
 def _deliver(arguments: argparse.Namespace, report: "Report", csv_files: Mapping[str, str]) -> None:

@@ -13,6 +13,7 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
+from valve_control.arrays import Floats
 from valve_control.axis.tables import ROS_NODES
 from valve_control.cli import common
 from valve_control.control import closed_loop
@@ -31,6 +32,7 @@ VALVES = lookup(NODES["valve_simulator"], "valve").choices
 ARRAYS = {".csv", ".txt", ".tsv", ".dat"}  # suffixes of a log too, but only with --map
 PARAMETERS = "List the parameters of all nodes, or those with a word such as 'arc.' in their names."
 FIGURE = "command, position, error and voltage as PNG or SVG"
+PERIOD = lookup(NODES["command_source"], "sample_period").default
 SCENARIOS = lookup(NODES["command_source"], "scenario").choices
 
 
@@ -144,10 +146,23 @@ def _recorded(arguments: argparse.Namespace) -> tuple[dict[str, Values], Any]:
     return settings, recorded_command.command_of(valve, signals, settings["controller"])
 
 
+def motion(arguments: argparse.Namespace, file: str, period: float) -> Floats:
+    """The numbers [V] of ``file``; a note tells an unusual ``period`` [s] that a parameter file has."""
+    numbers = arrays.read(file)
+    if period != PERIOD and arguments.sample_period is None and "sample_period" not in str(arguments.set):
+        named = [
+            f for f in arguments.params_file if any("sample_period" in v for v in files.load(f).values())
+        ]
+        text = f"{len(numbers)} numbers at a sample period of {1e3 * period:.4g} ms"
+        text += f" ({Path(named[-1]).name})" if named else ""
+        common.tell_notes([f"{text}: {len(numbers) * period:.4g} s"])
+    return numbers
+
+
 def _command(arguments: argparse.Namespace, settings: Mapping[str, Values]) -> Any:
     values, limit = settings["command_source"], number(settings["controller"], "command_limit")
     if values["scenario"] == "array" and arguments.duration is None:
-        command = arrays.read(str(values["command_file"]))
+        command = motion(arguments, str(values["command_file"]), number(values, "sample_period"))
     else:
         build.check_memory(number(values, "duration") / number(values, "sample_period"))
         command = build.commands(values)

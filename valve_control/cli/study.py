@@ -60,7 +60,10 @@ def add_commands(commands: Any) -> None:
 def _study(arguments: argparse.Namespace) -> int:
     from valve_control.control.simulation import robustness
 
-    _check(arguments)
+    if (arguments.output is None) != (arguments.replay is None):
+        raise ParameterError("--replay and --output write the parameters of one valve; give both")
+    if arguments.replay is not None:
+        common.refuse(arguments, ["figure"], "study --replay")
     chosen = _chosen(arguments)
     if arguments.box:
         for q in chosen.box:
@@ -70,7 +73,10 @@ def _study(arguments: argparse.Namespace) -> int:
         common.write_json(arguments, {"box": box, "sample_periods_s": chosen.periods})
         return 0
     if arguments.replay is not None:
-        _write_valve(arguments, chosen)
+        settings = robustness.settings_of_number(chosen, arguments.replay)
+        comment = f"valve {arguments.replay} of a study with seed {chosen.seed}"
+        common.deliver(arguments, arguments.output, ros_file.as_yaml(settings, [comment]))
+        common.write_json(arguments, {"number": arguments.replay, **settings})
         return 0
     folder = Path(arguments.folder or Path("out", robustness.folder_name(chosen)))
     limit = robustness.fitting_limit(chosen) if arguments.limit is None else arguments.limit
@@ -108,15 +114,6 @@ def _study(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _check(arguments: argparse.Namespace) -> None:
-    if (arguments.output is None) != (arguments.replay is None):
-        raise ParameterError("--replay and --output write the parameters of one valve; give both")
-    if arguments.replay is not None:
-        common.refuse(arguments, ["figure"], "study --replay")
-    if arguments.seed is not None:
-        raise ParameterError("--seed says nothing here: each valve has a seed of its own; see --study-seed")
-
-
 def box_of(arguments: argparse.Namespace) -> list["Quantity"]:
     """The quantities that vary: those of the study that --fix does not name. Raises ParameterError."""
     from valve_control.design.tuning import box
@@ -138,8 +135,8 @@ def _chosen(arguments: argparse.Namespace) -> "Study":
 
     settings = settings_of(arguments)
     names = {files.parse_setting(text)[0] for text in arguments.set}
-    if "seed" in names:
-        raise ParameterError("--set seed says nothing here: each valve has its own; see --study-seed")
+    if arguments.seed is not None or "seed" in names:
+        raise ParameterError("seed says nothing here: each valve has its own; see --study-seed")
     period = number(settings["controller"], "sample_period")
     own = arguments.sample_period is not None or "sample_period" in names
     source = settings["command_source"]
@@ -174,13 +171,3 @@ def _print(result: dict[str, Any]) -> None:
         f"{result['valves']} valves ({', '.join(shares)})"
     )
     print(f"worst by e_rms (--replay N): {', '.join(map(str, result['worst']['e_rms']))}")
-
-
-def _write_valve(arguments: argparse.Namespace, chosen: "Study") -> None:
-    """Write valve number --replay, with controller and command, for `simulate` and the nodes."""
-    from valve_control.control.simulation import robustness
-
-    settings = robustness.settings_of_number(chosen, arguments.replay)
-    comment = f"valve {arguments.replay} of a study with seed {chosen.seed}"
-    common.deliver(arguments, arguments.output, ros_file.as_yaml(settings, [comment]))
-    common.write_json(arguments, {"number": arguments.replay, **settings})

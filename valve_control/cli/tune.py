@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from valve_control.cli import common
-from valve_control.cli.simulate import delivery_of, delivery_options, settings_of, setup_options
+from valve_control.cli.simulate import delivery_of, delivery_options, motion, settings_of, setup_options
 from valve_control.cli.study import FIX, box_of
-from valve_control.control.commands import arrays
 from valve_control.control.parameters import build, files, ros_file
-from valve_control.parameter import Values, word
+from valve_control.parameter import Values, number, word
 
 if TYPE_CHECKING:
     from valve_control.design.tuning.request import Task
@@ -160,7 +159,9 @@ def _motions(arguments: argparse.Namespace, settings: Mapping[str, Values]) -> l
         source = settings["command_source"]
         return [request.motion_of(word(source, "scenario"), build.commands(source), settings)]
     common.refuse(arguments, ["scenario"], "tune --command")
-    return [request.motion_of(Path(file).name, arrays.read(file), settings) for file in arguments.command]
+    period = number(settings["command_source"], "sample_period")
+    read = ((Path(file).name, motion(arguments, file, period)) for file in arguments.command)
+    return [request.motion_of(name, numbers, settings) for name, numbers in read]
 
 
 def _paths(output: str | None, laws: Sequence[str]) -> dict[str, str]:
