@@ -8,7 +8,6 @@ form: their effect shows in a run.
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -99,7 +98,6 @@ def step_blocks(p: Any, like: StatePoint, before: Floats, after: Floats) -> None
             store(StatePoint(state, voltage), after[i], j)
 
 
-@cache
 def _compiled_steps(step: Callable[..., Any]) -> Callable[..., None]:
     from valve_control.control import simd_layout
 

@@ -38,9 +38,7 @@ COMMAND: Table = (
     Parameter(
         "listeners", 1, "", "subscriptions to wait for before the command begins", 0, 100, node_only=True
     ),
-    Parameter(
-        "delay", 0.5, "s", "pause from the arrival of these to the beginning", 0.0, 1e6, node_only=True
-    ),
+    Parameter("delay", 0.5, "s", "pause from their arrival to the command", 0.0, 1e6, node_only=True),
     Parameter("duration", 6.0, "s", "duration of the command; afterwards the last command holds", 0.001, 1e6),
     Parameter("amplitude", 2.92, "V", "height, stroke or amplitude", -10.0, 10.0),
     Parameter("offset", 0.0, "V", "added to the command", -10.0, 10.0),

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lists the parameters of `controller` and those of several nodes."""
 
+from types import FunctionType
+
 from valve_control.control import compiling, plugins
 from valve_control.control.laws import linearisation, registry, reshaping
 from valve_control.control.laws.common import SAMPLE_PERIOD, U_MAX
@@ -14,9 +16,7 @@ AUTOSTART = Parameter(
 )
 REALTIME: Table = running(
     Parameter("realtime.lock_memory", False, "", "lock the process in memory (mlockall)"),
-    Parameter(
-        "realtime.priority", 0, "", "SCHED_FIFO priority of all threads; 0: leave the scheduler", 0, 99
-    ),
+    Parameter("realtime.priority", 0, "", "SCHED_FIFO priority of all threads; 0: leave it", 0, 99),
     Parameter("realtime.cpus", "", "", "CPUs the process may use, such as 2 or 2,3; empty: leave them"),
 )
 
@@ -150,7 +150,7 @@ CONTROLLER: list[Parameter] = [  # that ``add_law`` changes
     *linearisation.PARAMETERS,
     *(parameter for law in LAWS.values() for parameter in law.parameters),
 ]
-_added: dict[str, Law] = {}  # as they came
+_added: dict[str, tuple[Law, dict[str, object]]] = {}  # as they came, with the content of their modules
 
 
 def add_law(law: Law) -> None:
@@ -158,7 +158,9 @@ def add_law(law: Law) -> None:
 
     Raises ParameterError if it does not work.
     """
-    if _added.get(law.name) is law:
+    content = getattr(law.module, "__dict__", {}).items()  # which IPython's autoreload changes in place
+    now = {n: getattr(v, "__code__", v) for n, v in content if isinstance(v, (FunctionType, int, float))}
+    if _added.get(law.name) == (law, now):
         return
     others = {n: known for n, known in LAWS.items() if n != law.name or known.package == plugins.PACKAGE}
     before = LAWS.get(law.name, law).parameters
@@ -169,4 +171,4 @@ def add_law(law: Law) -> None:
         raise ParameterError(f"the law '{law.name}' does not work: {reason}") from error
     CONTROLLER[:] = [parameter for parameter in CONTROLLER if parameter not in before] + [*law.parameters]
     CONTROLLER[0] = CONTROLLER[0]._replace(choices=tuple(LAWS))
-    _added[law.name] = law
+    _added[law.name] = law, now

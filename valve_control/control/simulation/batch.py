@@ -182,7 +182,6 @@ def run_block(
                 traces[valves[j], k, 2] = lane.work.voltage
 
 
-@functools.cache
 def _compiled(initial: Any, step: Any) -> Callable[..., None]:
     from valve_control.control import simd_layout
 
