@@ -19,10 +19,6 @@ TERMS = ("reference", "z1", "unsaturated_voltage")  # that each law has
 Terms = tuple[float, float, float]  # c0 [V/V], c1 [s] and c2 [s²] of a voltage for a motion
 
 
-def by_slow_motion(params: Any) -> None:
-    """None, for a law that knows no more of a valve than (1) with what ``Law.model`` gives."""
-
-
 def reshaped_steady_command(params: Any, start: Start) -> float:
     """Command [V] under which the reshaped reference goes on as at ``start``."""
     return reshaping.steady_command(params.reshaping, start.measurement, start.velocity)
@@ -40,7 +36,7 @@ class Law(NamedTuple):
     model: Callable[[Any], tuple[float, float, float]] | None = None
     # transition matrix (n×n) and input column (n) of the sampled model that a set of Params believes in,
     # position first, where (1) leaves out what the loop needs; None: (1) with what ``model`` gives will do
-    sampled_model: Callable[[Any], tuple[Floats, Floats] | None] = by_slow_motion
+    sampled_model: Callable[[Any], tuple[Floats, Floats] | None] = lambda params: None
     # whether a set of Params follows a reshaped reference
     reshapes: Callable[[Any], bool] = lambda params: True
     # command under which the law goes on as it is, from which a takeover lets the real one fade in
@@ -103,6 +99,9 @@ def try_out(law: Law, values: Values) -> None:
     plugins.check_results([("build", params, module.Params)])
     state = module.initial(params, Start(0.1, 0.0, 0.1, 0.0, 0.0))
     plugins.check_results([("initial", state, module.State)])
+    model = (0.0, 0.0, 0.0) if law.model is None else law.model(params)
+    if not hasattr(model, "__len__") or len(model) != 3:
+        raise plugins.PluginError(f"its model gives {model!r}; it must give three numbers, a1, a0 and b0")
     voltage, after, terms = module.step(params, state, 0.2, 0.1, 0.0)
     held = module.hold(params, state, 0.2, 0.1, 0.0)
     units = [(f"range of {free.name}", free.unit(given)) for free in law.free]

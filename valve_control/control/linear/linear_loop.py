@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valve_control.arrays import Complexes, Floats
-from valve_control.control.compiling import LANES, compile_function, explained
+from valve_control.control.compiling import LANES, LawError, compile_function, explained
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.places import law_step
 from valve_control.control.laws.signals import Start
@@ -66,9 +66,10 @@ def stepped(law: Law, params: Any, like: Any, points: Floats) -> Floats:
     ``like``: a state of the law.
     """
     rows = []
-    for *numbers, reading in points.tolist():
-        voltage, state, _ = law.module.step(params, unflatten(like, numbers), 0.0, reading, 0.0)
-        rows.append([*flatten(state), voltage])
+    with explained(law.title):
+        for *numbers, reading in points.tolist():
+            voltage, state, _ = law.module.step(params, unflatten(like, numbers), 0.0, reading, 0.0)
+            rows.append([*flatten(state), voltage])
     return np.array(rows)
 
 
@@ -98,22 +99,19 @@ def step_blocks(p: Any, like: StatePoint, before: Floats, after: Floats) -> None
             store(StatePoint(state, voltage), after[i], j)
 
 
-def _compiled_steps(step: Callable[..., Any]) -> Callable[..., None]:
-    from valve_control.control import simd_layout
-
-    parts = {"load": simd_layout.load, "store": simd_layout.store, "law_step": compile_function(step)}
-    return compile_function(step_blocks, parts, nogil=True)
-
-
 def stepped_side_by_side(law: Law, params: Any, like: Any, points: Floats) -> Floats:
     """``stepped``, compiled for LANES points at once."""
+    from valve_control.control import simd_layout
+
     count, width = points.shape
     blocks = -(-count // LANES)
     padded = np.resize(points, (blocks * LANES, width))
     before = np.ascontiguousarray(padded.reshape(blocks, LANES, width).transpose(0, 2, 1))
     after = np.empty((blocks, width * LANES))
     with explained(law.title):
-        _compiled_steps(law.module.step)(
+        step = compile_function(law.module.step)
+        parts = {"load": simd_layout.load, "store": simd_layout.store, "law_step": step}
+        compile_function(step_blocks, parts, nogil=True)(
             p=params, like=StatePoint(like, 0.0), before=before.reshape(blocks, -1), after=after
         )
     return after.reshape(blocks, width, LANES).transpose(0, 2, 1).reshape(-1, width)[:count]
@@ -124,27 +122,27 @@ def linear_law(law: Law, params: Any, frozen: bool = False, steps: Steps = stepp
 
     ``frozen``: with its estimates at rest. Otherwise what adapts linearly around rest is part of it, such as
     the estimate of a constant disturbance; estimates of which products adapt are not. ``steps``: ``stepped``,
-    or the same compiled.
+    or the same compiled. Raises LawError.
     """
-    start = law.module.initial(params, Start(0.0, 0.0, 0.0, 0.0, 0.0))
-    if frozen:
-        params, start = law.linear(params, start)
-    for _ in range(SETTLING):
-        _, start, _ = law.module.step(params, start, 0.0, 0.0, 0.0)
+    with explained(law.title):
+        start = law.module.initial(params, Start(0.0, 0.0, 0.0, 0.0, 0.0))
+        if frozen:
+            params, start = law.linear(params, start)
+        for _ in range(SETTLING):
+            _, start, _ = law.module.step(params, start, 0.0, 0.0, 0.0)
     rest = np.array([*flatten(start), 0.0])  # the reading is the last entry
     size = len(rest)
     moved = np.eye(size)
     scale = np.full(size, SCALE)
     unmoved = float(steps(law, params, start, rest[None])[0, -1])
     up = steps(law, params, start, rest + scale[:, None] * moved)
-    while True:
-        far = ~(np.abs(up[:, -1] - unmoved) <= SMALL) & (scale >= SCALE * FINER**5)
-        if not np.any(far):
-            break
+    while np.any(far := ~(np.abs(up[:, -1] - unmoved) <= SMALL) & (scale >= SCALE * FINER**5)):
         scale[far] *= FINER
         up[far] = steps(law, params, start, rest + scale[far, None] * moved[far])
     down = steps(law, params, start, rest - scale[:, None] * moved)
     matrix = ((up - down) / (2.0 * scale[:, None])).T  # of (state, reading) to (next state, voltage)
+    if not np.all(np.isfinite(matrix)):
+        raise LawError(f"{law.title} gives NaN or infinity for small motions around rest")
     links = matrix != 0.0
     on_the_way = _reached(links, size - 1) & _reached(links.T, size - 1)
     kept = np.flatnonzero(on_the_way[:-1])

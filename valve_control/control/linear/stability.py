@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from valve_control.control.compiling import explained
 from valve_control.control.laws import linearisation
 from valve_control.control.laws.law import Law
 from valve_control.control.linear import linear_loop
@@ -58,7 +59,8 @@ def warning(law: Law, params: Any) -> str:
     """One sentence if the sampled loop is unstable with b0 as assumed or 2 dB above it, else ""."""
     if law.model is None:
         return ""
-    own = believed(law, params)
+    with explained(law.title):
+        own = believed(law, params)
     at_rest, gained = (pole_of(law, params, own._replace(b=gain * own.b)) for gain in (1.0, GAIN_MARGIN))
     pole = max(at_rest, gained, key=abs)
     if abs(pole) < 1.0:

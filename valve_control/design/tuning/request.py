@@ -122,8 +122,10 @@ def _controller(
     usual = defaults(reshaping.PARAMETERS)
     if limits and not any(name in chosen or values[name] != usual[name] for name in limits):
         accel, rate = limits.values()
-        text = f"the reference is limited to {accel} V/s² and {rate} V/s, the most of this valve ((6), (7))"
-        notes.append(f"{text}; --set reshaping.max_accel and reshaping.max_rate change them")
+        most = f"the reference is limited to {accel} V/s² and {rate} V/s, the most of this valve"
+        notes.append(
+            f"{most} ((6), (7) of the paper); --set reshaping.max_accel and reshaping.max_rate change them"
+        )
         values = updated(CONTROLLER, values, limits)
     return values, [note for note in notes if note]
 

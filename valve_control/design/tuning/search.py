@@ -26,7 +26,7 @@ import numpy as np
 import scipy.stats
 
 from valve_control.arrays import Floats
-from valve_control.control.compiling import CompileError
+from valve_control.control.compiling import CompileError, LawError
 from valve_control.control.laws.free import present
 from valve_control.control.laws.law import Law
 from valve_control.control.laws.reshaping import LEAD_ACCEL
@@ -213,7 +213,7 @@ class _Search:
             measured = margins.margins(self._law, params, self.box)
         except CompileError:
             raise
-        except (ParameterError, ArithmeticError, np.linalg.LinAlgError):
+        except (ParameterError, LawError, ArithmeticError, np.linalg.LinAlgError):
             return None
         for name, value in limits.worst(limits.of_margins(measured)).items():
             self.values[name].append(value)
