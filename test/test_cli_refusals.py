@@ -67,7 +67,6 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
     [
         (["simulate", "--command", "c.csv", "--scenario", "sine"], ["--command takes no --scenario"]),
         (["simulate", "--set", "valve=custom", "--set", "numerator=[-1502.0]"], ["must be positive"]),
-        (["simulate", "--set", "numerator=[3.0]"], ["valve is fourth_order; add valve=custom"]),
         (["export", "--output", "e", "--set", "dcarc.denominator=[1.0, 2.0]"], ["dcarc.model=custom"]),
         (["study", "--replay", "1", "--output", "v.yaml", "--figure", "f.png"], ["--figure", "--replay"]),
         (["identify", "--set", "valve=second_order", "--order", "4", *QUICK], ["not support", "--order 2"]),
@@ -79,7 +78,6 @@ def test_parameters_of_nodes_that_do_not_exist(run, tmp_path):
         (["study", "--scenario", "sweep", "--set", "end_frequency=300.0"], ["300 Hz", "Nyquist"]),
         (["simulate", "--valve", "custom", "--set", "denominator=[1.0, -58.0, 1650.0]"], ["pole at"]),
         (["simulate", "--set", "bag=monday"], ["bag", "running nodes alone"]),
-        (["axis", "--set", "error_limit=0.01"], ["error_limit", "running nodes alone"]),
         (["export", "--controller", "pid", "--output", "e.fmu"], ["e.fmu", "--fmu 2 or --fmu 3"]),
         (["export", "--output", "e/", "--json", "e"], ["e is given for two outputs"]),
         (["export", "--output", "e", "--set", "friction.coulomb=1"], ["a law alone", "friction.coulomb"]),

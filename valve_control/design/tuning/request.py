@@ -122,10 +122,8 @@ def _controller(
     usual = defaults(reshaping.PARAMETERS)
     if limits and not any(name in chosen or values[name] != usual[name] for name in limits):
         accel, rate = limits.values()
-        most = f"the reference is limited to {accel} V/s² and {rate} V/s, the most of this valve"
-        notes.append(
-            f"{most} ((6), (7) of the paper); --set reshaping.max_accel and reshaping.max_rate change them"
-        )
+        text = f"the reference is limited to {accel} V/s² and {rate} V/s, the most by (6), (7) of the paper"
+        notes.append(f"{text}; --set reshaping.max_accel and reshaping.max_rate change them")
         values = updated(CONTROLLER, values, limits)
     return values, [note for note in notes if note]
 
