@@ -104,7 +104,6 @@ def test_a_log_of_arrays_is_analysed(tmp_path):
         (lambda: vc.analyze(MOTION), "a ndarray is no file; write it with to_csv"),
         (lambda: vc.compare(controller="pid,pdi"), "^controller: there is no law 'pdi'; did you mean 'pid'"),
         (lambda: vc.simulate(command=np.zeros((3, 2))), "is no motion"),
-        (lambda: vc.simulate(command=1j * MOTION), "is no motion"),
         (lambda: vc.simulate(VALVE, MOTION), "a motion is command="),
         (lambda: vc.simulate({"valve_simulator": {"numerator": [1.0]}}), "^numerator has no effect"),
         (lambda: vc.simulate(controller="lqg"), "there are arc, .*one of your own: docs/tutorials/your"),
@@ -127,6 +126,7 @@ def test_a_log_of_arrays_is_analysed(tmp_path):
         (lambda: vc.margins(VALVE).law(), "margins gives no law"),
         (lambda: vc.identify(data_sheet=[]).to_dataframe(), "identify gives no table"),
         (lambda: vc.simulate(params_file="missing.yaml"), "missing.yaml"),
+        (lambda: vc.identify(data_sheet={"natural_frequency": "18 Hz"}), "^natural_frequency is '18 Hz'; it"),
         (lambda: vc.tune(controller="pid,dcarc"), "tune takes one law"),
     ],
 )

@@ -237,7 +237,8 @@ class _Call(NamedTuple):
             elif value is True:
                 words.append(option)
             elif name in MANY:
-                words += [option, *" ".join(map(str, np.atleast_1d(value))).split()]
+                value = value.split() if isinstance(value, str) else np.atleast_1d(value)
+                words += [option, *map(str, value)]
             else:
                 words += [f"{option}={_word(one, folder, name)}" for one in _several(value)]
         return words
@@ -361,6 +362,8 @@ def load(path: str | os.PathLike[str]) -> Parameters:
     Example: ``load("valve.yaml")["lvdt.noise"]``. The values are for reading: to change one, give a task
     ``set={"lvdt.noise": 0.01}``, or a dict by node after the file.
     """
+    if not isinstance(path, (str, os.PathLike)):
+        raise ParameterError(f"a {type(path).__name__} is no file; a task takes a dict as it is")
     file = Path(os.path.expanduser(path))
     return Parameters(values=files.load(str(file)), text=file.read_text(encoding="utf-8"), name=file.name)
 

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Describes one parameter (type, unit, range, meaning), and checks and reads the values of many."""
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 Value = bool | int | float | str | list[float] | list[str]
@@ -59,6 +59,7 @@ class Parameter(NamedTuple):
 
     def check(self, value: Any) -> Value:
         """Return ``value`` if it has the right type and lies in the range. Raises ParameterError."""
+        named = [(self.name, value)]
         if isinstance(self.default, list):
             if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
                 raise ParameterError(self._wrong_type(value))
@@ -70,8 +71,6 @@ class Parameter(NamedTuple):
             named = [(f"{self.name}[{i}]", v) for i, v in enumerate(value)]
         elif type(value) is not type(self.default):
             raise ParameterError(self._wrong_type(value))
-        else:
-            named = [(self.name, value)]
         for name, reason in self.left_out:
             if value == name:
                 raise ParameterError(f"{self.name} is '{value}'; {reason}")
@@ -129,7 +128,8 @@ def lookup(table: Table, name: str) -> Parameter:
 
 def missing(table: Table, names: Iterable[str]) -> str:
     """One sentence: there are no parameters ``names``; did you mean the nearest ones."""
-    near = {name: difflib.get_close_matches(name, [p.name for p in table], n=2) for name in names}
+    known = [p.name for p in table]
+    near = {n: [k for k in known if k.endswith(f".{n}")][:2] or get_close_matches(n, known, 2) for n in names}
     meant = {name: f"did you mean {one_of(words)}?" if words else "" for name, words in near.items()}
     if len(meant) == 1:
         return "; ".join(["there is no parameter " + one_of(meant), *filter(None, meant.values())])

@@ -67,7 +67,7 @@ def _export(arguments: argparse.Namespace) -> None:
         found = settable.find(chosen, bar.update)
         if arguments.fmu is not None:
             outputs.write(str(path), fmu.make(chosen, arguments.fmu, found))
-            common.wrote(arguments, arguments.folder)
+            common.wrote(arguments, arguments.folder, f" with {chosen.name}")
         else:
             content = folder.files(chosen, arguments.float, found)
             folder.write(path, content)

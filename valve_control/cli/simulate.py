@@ -153,8 +153,7 @@ def motion(arguments: argparse.Namespace, file: str, period: float) -> Floats:
         named = [
             f for f in arguments.params_file if any("sample_period" in v for v in files.load(f).values())
         ]
-        text = f"{len(numbers)} numbers at a sample period of {1e3 * period:.4g} ms"
-        text += f" ({Path(named[-1]).name})" if named else ""
+        text = f"{len(numbers)} numbers at a sample period of {1e3 * period:.4g} ms ({Path(named[-1]).name})"
         common.tell_notes([f"{text}: {len(numbers) * period:.4g} s"])
     return numbers
 
