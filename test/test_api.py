@@ -37,6 +37,7 @@ def test_a_function_gives_what_the_command_writes(tmp_path, capsys):
     assert run.plot().get_suptitle() == "pid (my_valve.yaml) on the valve custom: command"
     laws = vc.compare(VALVE, controller="pid, oarc", command=np.zeros(9)).to_dataframe()["law"]
     assert laws.tolist() == ["pid", "oarc"] and "does not move in 9 samples" in capsys.readouterr().err
+    assert vc.compare(VALVE, duration=1.0).to_dataframe()["law"].tolist()[:2] == ["arc", "oarc"]
 
 
 def test_the_loop_of_margins_has_the_phase_margin_that_it_tells():
@@ -106,6 +107,10 @@ def test_a_log_of_arrays_is_analysed(tmp_path):
         (lambda: vc.simulate(command=np.zeros((3, 2))), "is no motion"),
         (lambda: vc.simulate(VALVE, MOTION), "a motion is command="),
         (lambda: vc.simulate({"valve_simulator": {"numerator": [1.0]}}), "^numerator has no effect"),
+        (lambda: vc.simulate(command=[MOTION, MOTION]), "command has 2 entries"),
+        (lambda: vc.simulate(command=1j * MOTION), "is no motion"),
+        (lambda: vc.simulate({"damping": 0.7}), "a dict by node"),
+        (lambda: vc.load("missing.yaml"), "missing.yaml"),
         (lambda: vc.simulate(controller="lqg"), "there are arc, .*one of your own: docs/tutorials/your"),
         (lambda: vc.simulate(duration=1.0).law()(MOTION, MOTION), "takes one sample a call: two floats"),
         (lambda: vc.simulate(set={"arc.k9": 1.0}), "no parameter 'arc.k9'"),

@@ -86,7 +86,7 @@ class Parameter(NamedTuple):
         quotes = isinstance(self.default, str) and not isinstance(value, list)
         form = "a flat list: plant.num[0][0]" if "[[" in str(value) else form
         article = "an" if self.type_name == "integer" else "a"
-        hint = f" (write {form})" if "double" in self.type_name else " (write it in quotes)" * quotes
+        hint = f" (write {form})" if "double" in self.type_name else " (write it in quotes)" if quotes else ""
         return f"{self.name} is {value!r}; it must be {article} {self.type_name}{hint}"
 
     def _check_range(self, number: float, name: str) -> None:

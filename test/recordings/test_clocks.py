@@ -178,8 +178,7 @@ def test_a_valve_is_identified_whatever_the_clock_did(tmp_path, capsys, case):
 
 
 @pytest.mark.parametrize(
-    ("by", "numbered"),
-    [(2.0, True), (-3.0, False), (56 * 365 * 86_400.0, False), (-0.02, True)],
+    ("by", "numbered"), [(2.0, True), (-3.0, False), (56 * 365 * 86_400.0, False), (-0.02, True)]
 )
 def test_a_clock_that_is_set_is_named_and_loses_nothing(run, tmp_path, by, numbered):
     """Of the longer part all is right: rates, lost ones, modes and length."""
@@ -206,11 +205,7 @@ def test_a_clock_that_is_set_is_named_and_loses_nothing(run, tmp_path, by, numbe
 
 # Stamps that stand alone
 
-STAMPS = {
-    "zero": 0,
-    "largest": 2**63 - 1,
-    "hours before": BEGIN - 3 * 3600 * 10**9,
-}
+STAMPS = {"zero": 0, "largest": 2**63 - 1, "hours before": BEGIN - 3 * 3600 * 10**9}
 
 
 @pytest.mark.parametrize("place", [0, 700])

@@ -80,7 +80,7 @@ def draw(path: str, traces: Mapping[str, Trace], errors: Mapping[str, float], wh
             if law != "open_loop":  # whose error would hide the others
                 bottom.append(Line(top[-1].label, time, 100.0 * (position - command) / STROKE, colour))
         top.append(Line("command", time, command, "black", style="--"))
-        columns[part] = [Plot("spool position [V]", top), Plot("error of the laws [% of stroke]", bottom)]
+        columns[part] = [Plot("spool position [V]", top), Plot("error [% of the stroke]", bottom)]
     title = f"A slow, sticky solenoid valve (9 Hz) follows fast commands, {where}"
     draw_columns([Path(path)], columns, "time [s]", title)
 

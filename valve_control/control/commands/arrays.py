@@ -51,7 +51,8 @@ def read(path: str) -> Floats:
         ) from error
     if array.dtype.kind not in "fiub":
         raise ParameterError(f"command file {path} must hold real numbers, not {array.dtype}")
-    numbers: Floats = np.squeeze(np.asarray(array, dtype=np.float64))
+    numbers: Floats = np.asarray(array, dtype=np.float64)
+    numbers = numbers.ravel() if numbers.ndim == 2 and 1 in numbers.shape else numbers
     if numbers.ndim != 1 or numbers.size < 2:
         raise ParameterError(
             f"command file {path} must hold one column of two or more numbers, with decimal points; its "

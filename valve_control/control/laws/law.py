@@ -117,6 +117,7 @@ def try_out(law: Law, values: Values) -> None:
             ("step", terms, module.Terms),
         ]
     )
-    needed = {*chosen, *filter(None, (law.dead_time, f"{law.name}.theta_initial" * law.adapts))}
+    needed = {*chosen, *([law.dead_time] if law.dead_time else ())}
+    needed |= {f"{law.name}.theta_initial"} if law.adapts else set()
     for name in sorted(needed - given.keys()):
         raise plugins.PluginError(f"there must be a parameter {name}")
